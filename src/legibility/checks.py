@@ -1,0 +1,134 @@
+"""Checks of arguments, shared by all modules: each returns the value as an array or raises."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InvalidInputError
+
+Array = NDArray[np.float64]
+
+
+def finite_array(
+    name: str,
+    value: ArrayLike,
+    *,
+    ndim: int | None = None,
+    min_ndim: int = 0,
+    last: int | tuple[int, ...] | None = None,
+    error: type[InvalidInputError] = InvalidInputError,
+) -> Array:
+    """`value` as a float64 array of finite numbers, of `ndim` axes, the last of size `last`."""
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "iufO":  # text and complex numbers would be converted in silence
+            raise TypeError(array.dtype)
+        array = array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise error(f"{name} must be an array of numbers, got {_short(value)}") from cause
+    if (ndim is not None and array.ndim != ndim) or array.ndim < min_ndim:
+        wanted = f"{ndim}" if ndim is not None else f"at least {min_ndim}"
+        raise error(f"{name} must have {wanted} axes, got shape {array.shape}")
+    if last is not None:
+        sizes = (last,) if isinstance(last, int) else last
+        if array.shape[-1] not in sizes:
+            wanted = " or ".join(map(str, sizes))
+            raise error(f"{name} must have {wanted} numbers a point, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        bad = array[~np.isfinite(array)].flat[0]
+        raise error(f"{name} must be finite, got {bad}")
+    return array
+
+
+def trajectory_array(value: ArrayLike, dim: int | None = None, name: str = "trajectory") -> Array:
+    """A trajectory `(..., T, D)` with at least two points, of any D if `dim` is not given."""
+    array = finite_array(name, value, min_ndim=2, last=dim)
+    if array.shape[-2] < 2:
+        raise InvalidInputError(f"{name} must have at least 2 points, got shape {array.shape}")
+    return array
+
+
+def goals_array(value: ArrayLike) -> Array:
+    """At least two goals, `(G, D)`."""
+    goals = finite_array("goals", value, ndim=2)
+    if len(goals) < 2:
+        raise InvalidInputError(f"goals must be at least 2, got {len(goals)}")
+    return goals
+
+
+def prior_array(value: ArrayLike | None, num_goals: int) -> Array:
+    """P(g) before any motion, `(G,)`, above 0 and summing to 1; uniform if `value` is None."""
+    prior = np.ones(num_goals) if value is None else finite_array("prior", value, ndim=1)
+    if prior.shape != (num_goals,) or (prior <= 0).any():
+        raise InvalidInputError(
+            f"prior must be {num_goals} numbers above 0, got {_short(prior.tolist())}"
+        )
+    return prior / prior.sum()
+
+
+def posterior_array(value: ArrayLike) -> Array:
+    """P(g) over time, `(..., T, G)`: at least two times and two goals, each time summing to 1."""
+    posterior = finite_array("posterior", value, min_ndim=2)
+    if min(posterior.shape[-2:]) < 2:
+        raise InvalidInputError(
+            f"posterior must have at least 2 times and 2 goals, got shape {posterior.shape}"
+        )
+    if (posterior < 0).any() or (np.abs(posterior.sum(-1) - 1) > 1e-6).any():
+        raise InvalidInputError("posterior must be probabilities that sum to 1 over the goals")
+    return posterior
+
+
+def target_index(target: Any, num_goals: int) -> int:
+    """A goal's index in `[0, num_goals)`; negative indices are not accepted."""
+    if isinstance(target, bool) or not isinstance(target, int | np.integer):
+        raise InvalidInputError(f"target must be an integer, got {_short(target)}")
+    if not 0 <= target < num_goals:
+        raise InvalidInputError(
+            f"target must be a goal's index from 0 to {num_goals - 1}, got {target}"
+        )
+    return int(target)
+
+
+def legibility_levels(value: ArrayLike) -> Array:
+    """ℓ, a number or `(B,)`, in [−1, 1]."""
+    levels = finite_array("legibility", value)
+    if levels.ndim > 1 or levels.size == 0:
+        raise InvalidInputError(
+            f"legibility must be a number or a list of numbers, got shape {levels.shape}"
+        )
+    if (np.abs(levels) > 1).any():
+        bad = levels[np.abs(levels) > 1].flat[0] if levels.ndim else levels[()]
+        raise InvalidInputError(f"legibility must lie in [-1, 1], got {bad:g}")
+    return levels
+
+
+def positive(name: str, value: Any) -> float:
+    """A finite number above zero."""
+    number = finite_array(name, value)
+    if number.ndim or number <= 0:
+        raise InvalidInputError(f"{name} must be a number above 0, got {_short(value)}")
+    return float(number)
+
+
+def bounded(name: str, value: Any, low: float, high: float = np.inf) -> float:
+    """A finite number in [low, high]."""
+    number = finite_array(name, value)
+    if number.ndim or not low <= number <= high:
+        wanted = f"of at least {low:g}" if np.isinf(high) else f"from {low:g} to {high:g}"
+        raise InvalidInputError(f"{name} must be a number {wanted}, got {_short(value)}")
+    return float(number)
+
+
+def count(name: str, value: Any, *, low: int = 1) -> int:
+    """An integer of at least `low`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < low:
+        raise InvalidInputError(f"{name} must be an integer of at least {low}, got {_short(value)}")
+    return int(value)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,102 @@
+"""Curves as points `(..., T, D)`: length, resampling at equal arc length, splines, deviation."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from .checks import Array
+
+__all__ = ["arc_length", "farthest_from_segment", "path_curve", "resample", "spline_matrix"]
+
+
+def cumulative_length(trajectory: Array) -> Array:
+    """Length [m] from the start to each point, `(..., T)`."""
+    steps = np.linalg.norm(np.diff(trajectory, axis=-2), axis=-1)
+    return np.concatenate([np.zeros_like(steps[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
+
+
+def arc_length(trajectory: Array) -> Array:
+    """Length [m] of each trajectory, `(...)`."""
+    return np.linalg.norm(np.diff(trajectory, axis=-2), axis=-1).sum(-1)
+
+
+def equal_arc_positions(cumulative: Array, num_points: int) -> Array:
+    """Fractional indices `(..., num_points)` in [0, T − 1] at equal steps of arc length.
+
+    Args:
+        cumulative: `(..., T)`, non-decreasing from 0. A curve without length is read at equal
+            steps of its index.
+    """
+    *batch, size = cumulative.shape
+    if not cumulative.size:
+        return np.zeros((*batch, num_points))
+    flat = cumulative.reshape(-1, size)
+    total = flat[:, -1:]
+    index = np.arange(size, dtype=np.float64)
+    progress = np.divide(
+        flat, total, out=np.tile(index / (size - 1), (len(flat), 1)), where=total > 0
+    )
+    # All rows in one call: row i owns the interval [2i, 2i + 1], far enough from its neighbours.
+    offset = 2.0 * np.arange(len(flat))[:, None]
+    wanted = np.linspace(0, 1, num_points)
+    positions = np.interp(
+        (wanted + offset).ravel(), (progress + offset).ravel(), np.tile(index, len(flat))
+    )
+    return positions.reshape(*batch, num_points)
+
+
+def resample(trajectory: Array, num_points: int) -> Array:
+    """`num_points` points at equal arc length along each trajectory, `(..., num_points, D)`.
+
+    Linear between the given points; the two ends stay where they are.
+    """
+    positions = equal_arc_positions(cumulative_length(trajectory), num_points)
+    left = np.minimum(positions.astype(np.intp), trajectory.shape[-2] - 2)
+    weight = (positions - left)[..., None]
+    low = np.take_along_axis(trajectory, left[..., None], axis=-2)
+    high = np.take_along_axis(trajectory, left[..., None] + 1, axis=-2)
+    points = low + weight * (high - low)
+    points[..., [0, -1], :] = trajectory[..., [0, -1], :]  # free of rounding
+    return points
+
+
+@functools.lru_cache(maxsize=32)
+def spline_matrix(num_knots: int, num_points: int) -> Array:
+    """`(num_points, num_knots)`: the not-a-knot cubic spline through equally spaced knots.
+
+    The spline is linear in its knots, so a batch of paths is a matrix product.
+    """
+    from scipy.interpolate import CubicSpline
+
+    knots = np.linspace(0, 1, num_knots)
+    matrix = CubicSpline(knots, np.eye(num_knots))(np.linspace(0, 1, num_points))
+    matrix.setflags(write=False)
+    return matrix
+
+
+def distance_to_segment(points: Array, start: Array, end: Array) -> Array:
+    """Distance [m] of `points (..., D)` from the segment between `start` and `end`, `(...)`."""
+    return np.sqrt(_squared_distance_to_segment(points, start, end))
+
+
+def farthest_from_segment(trajectory: Array, start: Array, end: Array) -> Array:
+    """The most deviating point `(..., D)` of each trajectory from the straight line start–end."""
+    index = np.argmax(_squared_distance_to_segment(trajectory, start, end), axis=-1)
+    return np.take_along_axis(trajectory, index[..., None, None], axis=-2)[..., 0, :]
+
+
+def _squared_distance_to_segment(points: Array, start: Array, end: Array) -> Array:
+    """A coordinate at a time: sums over a short last axis are slow in NumPy."""
+    direction = end - start
+    offsets = [points[..., d] - start[d] for d in range(len(start))]
+    squared = direction @ direction
+    along = np.asarray(sum(o * (v / squared) for o, v in zip(offsets, direction, strict=True)))
+    np.clip(along, 0, 1, out=along)
+    return np.asarray(sum((o - along * v) ** 2 for o, v in zip(offsets, direction, strict=True)))
+
+
+def path_curve(path: Array, num_points: int) -> Array:
+    """The smooth curve `(..., num_points, D)` through a path `(..., K + 2, D)` [m]."""
+    return spline_matrix(path.shape[-2], num_points) @ path

@@ -1,0 +1,43 @@
+"""Every error that this package raises on purpose.
+
+All of them derive from `LegibilityError`, so one ``except`` catches them; the command line prints
+their message in one line and exits with status 2.
+"""
+
+__all__ = [
+    "CheckpointError",
+    "DatasetError",
+    "InvalidInputError",
+    "InvalidSceneError",
+    "LegibilityError",
+    "MissingExtraError",
+    "OutputError",
+]
+
+
+class LegibilityError(Exception):
+    """Base of all errors of this package."""
+
+
+class InvalidInputError(LegibilityError, ValueError):
+    """An argument is wrong; the message names the value and what is allowed."""
+
+
+class InvalidSceneError(InvalidInputError):
+    """A scene, or a scene file, is malformed."""
+
+
+class CheckpointError(LegibilityError):
+    """Weights or training state are missing, corrupted or of another model."""
+
+
+class DatasetError(LegibilityError):
+    """A dataset is missing, incomplete, corrupted or was made with another configuration."""
+
+
+class OutputError(LegibilityError, OSError):
+    """A file cannot be written."""
+
+
+class MissingExtraError(LegibilityError, ImportError):
+    """An optional dependency is not installed; the message names the pip command."""

@@ -1,0 +1,1 @@
+"""How an observer reads a motion: the field, the scores and metrics, the labels."""

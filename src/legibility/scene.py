@@ -1,0 +1,246 @@
+"""A scene: where the robot starts, the goals it may mean, and the workspace it must stay in."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import Array, count, finite_array, target_index
+from .errors import InvalidInputError, InvalidSceneError
+from .files import read_text, write_bytes, write_json
+
+__all__ = ["DEFAULT_SIGMA", "DEFAULT_WORKSPACE", "STREAMS", "Scene", "stream_seed"]
+
+DEFAULT_WORKSPACE = {
+    2: ((-0.1, -0.1), (1.1, 1.1)),
+    3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40)),
+}
+"""Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
+
+DEFAULT_SIGMA = {2: 0.15, 3: 0.08}
+"""Spread of the observer's likelihood [m] by dimension."""
+
+STREAMS = ("train", "validation", "evaluation")
+"""Seed streams that never meet: what a model learned from, was tuned on, and is reported on."""
+
+_BLOCK_HEIGHT = 0.04
+_MIN_SEPARATION = 0.12
+_COINCIDENT = 1e-6
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Scene:
+    """Start, goals and workspace, all in metres in the environment's world frame.
+
+    Args:
+        start: `(D,)` [m], D is 2 or 3.
+        goals: `(G, D)` [m], G ≥ 2, no two alike and none at the start.
+        workspace: `(2, D)` [m], low and high corner; the default is `DEFAULT_WORKSPACE[D]`.
+
+    Raises:
+        InvalidSceneError: anything else, naming the value and what is allowed.
+    """
+
+    start: Array
+    goals: Array
+    workspace: Array
+
+    def __init__(
+        self, start: ArrayLike, goals: ArrayLike, workspace: ArrayLike | None = None
+    ) -> None:
+        error = InvalidSceneError
+        arrays = {"start": finite_array("start", start, ndim=1, last=(2, 3), error=error)}
+        dim = arrays["start"].shape[0]
+        corners = DEFAULT_WORKSPACE[dim] if workspace is None else workspace
+        arrays["goals"] = finite_array("goals", goals, ndim=2, last=dim, error=error)
+        arrays["workspace"] = finite_array("workspace", corners, ndim=2, last=dim, error=error)
+        for name, array in arrays.items():
+            array = array + 0.0  # a copy, with −0 turned into 0 so that equal scenes hash alike
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        self._check()
+
+    def _check(self) -> None:
+        low, high = self._corners()
+        if len(self.goals) < 2:
+            raise InvalidSceneError(f"goals must be at least 2, got {len(self.goals)}")
+        points = np.concatenate([self.start[None], self.goals])
+        names = ["start", *(f"goals[{i}]" for i in range(len(self.goals)))]
+        for name, point in zip(names, points, strict=True):
+            if (point < low).any() or (point > high).any():
+                raise InvalidSceneError(
+                    f"{name} {point.tolist()} lies outside the workspace {self.workspace.tolist()}"
+                )
+        gaps = np.linalg.norm(points[:, None] - points[None], axis=-1)
+        gaps[np.tril_indices(len(points))] = np.inf
+        i, j = np.unravel_index(np.argmin(gaps), gaps.shape)
+        if gaps[i, j] < _COINCIDENT * np.linalg.norm(high - low):
+            raise InvalidSceneError(f"{names[i]} and {names[j]} coincide at {points[i].tolist()}")
+
+    def _corners(self) -> tuple[Array, Array]:
+        if len(self.workspace) != 2 or (self.workspace[0] >= self.workspace[1]).any():
+            raise InvalidSceneError(
+                f"workspace must be a low and a high corner, got {self.workspace.tolist()}"
+            )
+        return self.workspace[0], self.workspace[1]
+
+    @property
+    def dim(self) -> int:
+        """D, 2 or 3."""
+        return self.start.shape[0]
+
+    @property
+    def num_goals(self) -> int:
+        """G."""
+        return len(self.goals)
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the workspace's diagonal [m]."""
+        return float(np.linalg.norm(self.workspace[1] - self.workspace[0]))
+
+    def target(self, index: int) -> Array:
+        """Position `(D,)` [m] of the goal that is meant; raises if there is no such goal."""
+        return self.goals[target_index(index, self.num_goals)]
+
+    def distractors(self, target: int) -> Array:
+        """Positions `(G − 1, D)` [m] of all other goals."""
+        return np.delete(self.goals, target_index(target, self.num_goals), axis=0)
+
+    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> np.ndarray:
+        """Whether each of `points (..., D)` [m] lies in the workspace, `(...)` bool."""
+        points = np.asarray(points)
+        low, high = self.workspace
+        return ((points >= low - tolerance) & (points <= high + tolerance)).all(-1)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scene) and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("start", "goals", "workspace")
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.start.tobytes(), self.goals.tobytes(), self.workspace.tobytes()))
+
+    def __reduce__(self) -> tuple[type[Scene], tuple[Array, Array, Array]]:
+        return Scene, (self.start, self.goals, self.workspace)  # copies stay read-only
+
+    def to_dict(self) -> dict[str, Any]:
+        """The scene as plain lists, the form of its YAML and JSON files."""
+        return {
+            "start": self.start.tolist(),
+            "goals": self.goals.tolist(),
+            "workspace": self.workspace.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, content: Any) -> Scene:
+        """The inverse of `to_dict`; `workspace` may be left out."""
+        if not isinstance(content, dict):
+            raise InvalidSceneError(
+                "a scene must be a mapping with the keys start, goals and, if wanted, workspace; "
+                f"got {type(content).__name__}"
+            )
+        unknown = set(content) - {"start", "goals", "workspace"}
+        missing = {"start", "goals"} - set(content)
+        if unknown or missing:
+            parts = [f"{word} {sorted(map(str, keys))}" for word, keys in
+                     (("unknown", unknown), ("missing", missing)) if keys]  # fmt: skip
+            raise InvalidSceneError(
+                f"a scene has the keys start, goals and workspace: {', '.join(parts)}"
+            )
+        return cls(content["start"], content["goals"], content.get("workspace"))
+
+    def save(self, path: str | Path) -> None:
+        """Write the scene as YAML or JSON, by the file's suffix (.yaml, .yml, .json)."""
+        if _is_yaml(path):
+            import yaml
+
+            text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
+            write_bytes(path, text.encode())
+        else:
+            write_json(path, self.to_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scene:
+        """Read a scene from YAML or JSON.
+
+        Raises:
+            InvalidSceneError: no such file, not YAML or JSON, or not a scene.
+        """
+        is_yaml = _is_yaml(path)
+        text = read_text(path, "scene file", InvalidSceneError)
+        try:
+            if is_yaml:
+                import yaml
+
+                try:
+                    content = yaml.safe_load(text)
+                except yaml.YAMLError as cause:
+                    raise ValueError(" ".join(str(cause).split())) from cause
+            else:
+                content = json.loads(text)
+        except (ValueError, RecursionError) as cause:
+            raise InvalidSceneError(
+                f"{path} is not valid {Path(path).suffix[1:]}: {cause}"
+            ) from cause
+        try:
+            return cls.from_dict(content)
+        except InvalidSceneError as cause:
+            raise InvalidSceneError(f"{path}: {cause}") from cause
+
+    @classmethod
+    def random(
+        cls,
+        rng: np.random.Generator,
+        *,
+        dim: int = 2,
+        num_goals: int | None = None,
+        target: int = 0,
+    ) -> Scene:
+        """A scene with start and goals anywhere in the default workspace.
+
+        Points are at least 0.12 of the workspace's diagonal apart, the start at least twice that
+        from goal `target`. In 3D the goals are blocks on the table or stacked (up to four high) and
+        the start is anywhere.
+
+        Args:
+            rng: source of randomness.
+            dim: 2 or 3.
+            num_goals: G ≥ 2; drawn from 2 to 6 if not given.
+            target: index of the goal that the start keeps away from.
+        """
+        if dim not in (2, 3):
+            raise InvalidInputError(f"dim must be 2 or 3, got {dim!r}")
+        if num_goals is None:
+            num_goals = int(rng.integers(2, 7))
+        if count("num_goals", num_goals, low=2) > 12:
+            raise InvalidInputError(f"num_goals must be from 2 to 12, got {num_goals}")
+        target = target_index(target, num_goals)
+        low, high = np.array(DEFAULT_WORKSPACE[dim])
+        gap = _MIN_SEPARATION * np.linalg.norm(high - low)
+        pairs = np.triu_indices(num_goals + 1, k=1)
+        while True:  # the target's rule makes rejection of whole scenes the unbiased way
+            points = rng.uniform(low, high, size=(num_goals + 1, dim))
+            if dim == 3:
+                points[1:, 2] = low[2] + _BLOCK_HEIGHT * rng.integers(0, 4, size=num_goals)
+            gaps = np.linalg.norm(points[pairs[0]] - points[pairs[1]], axis=-1)
+            if gaps.min() >= gap and np.linalg.norm(points[0] - points[1 + target]) >= 2 * gap:
+                return cls(points[0], points[1:])
+
+
+def stream_seed(stream: str, seed: int, index: int) -> np.random.SeedSequence:
+    """The seed of item `index` of a stream: independent of every other stream, seed and index."""
+    return np.random.SeedSequence([STREAMS.index(stream), seed, index])
+
+
+def _is_yaml(path: str | Path) -> bool:
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".yaml", ".yml", ".json"):
+        raise InvalidSceneError(f"a scene file ends in .yaml, .yml or .json, got {path}")
+    return suffix != ".json"
