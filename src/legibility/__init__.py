@@ -1,0 +1,38 @@
+"""Robot motion with a dial for legibility, from most ambiguous (−1) to most legible (1)."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from . import errors
+from .intent import labels, metrics
+from .intent.field import InformationPotentialField
+from .motion.archive import Archive, build_archive
+from .scene import Scene
+
+if TYPE_CHECKING:
+    from .modulator import Modulator, Path
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Archive",
+    "InformationPotentialField",
+    "Modulator",
+    "Path",
+    "Scene",
+    "__version__",
+    "build_archive",
+    "errors",
+    "labels",
+    "metrics",
+]
+
+_LAZY = {"Modulator": "modulator", "Path": "modulator"}  # these load torch
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

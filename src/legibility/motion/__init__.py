@@ -1,0 +1,1 @@
+"""Curves from start to goal and the quality-diversity archive that covers them."""

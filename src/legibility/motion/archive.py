@@ -1,0 +1,261 @@
+"""The quality-diversity archive: all ways to reach a goal, each scored and labelled (paper, V.B).
+
+MAP-Elites (Mouret & Clune 2015) over cubic Béziers: random curves first, then variations of the
+elites until hardly any new cell fills. A cell is a place of the workspace, a curve belongs to the
+cell of its most deviating point, and a cell keeps its smoothest curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import Array, count, finite_array, positive, target_index
+from ..curves import farthest_from_segment
+from ..errors import InvalidInputError
+from ..intent.field import InformationPotentialField
+from ..intent.labels import LABELS, anchored_label, label_knots, rank_label
+from ..intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
+from ..scene import DEFAULT_SIGMA, Scene
+from .bezier import bending_energy, bezier_trajectories, straight_controls
+
+__all__ = ["Archive", "CurveGrid", "build_archive"]
+
+_BATCH = 1024
+_REACH = 1 / 3
+"""How far beyond the workspace control points are drawn, as a share of its side: a cubic Bézier
+gets three quarters of the way to its control points, so this much lets it touch the walls."""
+
+DEFAULT_CELLS = {2: 48, 3: 16}
+"""Cells along each axis of the workspace, by dimension."""
+
+
+@dataclass(frozen=True, eq=False)
+class Archive:
+    """The elites of one scene and target, in the order of their cells.
+
+    Attributes:
+        scene: the scene.
+        target: index of the goal that is meant.
+        field: the observer that scored them.
+        alpha: decay of the score's weight.
+        label: `anchored` or `rank`.
+        controls: `(N, 4, D)` [m], control points of the cubic Béziers.
+        trajectories: `(N, T, D)` [m], at equal arc length.
+        descriptors: `(N, D)` [m], the most deviating point of each.
+        energies: `(N,)` [m²], bending energy, the quality that a cell keeps the least of.
+        scores: `(N,)`, `legibility_score`, higher = more legible.
+        labels: `(N,)` in [−1, 1].
+        straight_score: the straight line's score, where the anchored label is 0.
+        num_candidates: curves tried, those that left the workspace among them.
+        cells_reached: cells that the most deviating point of any candidate fell into, valid or not.
+    """
+
+    scene: Scene
+    target: int
+    field: InformationPotentialField
+    alpha: float
+    label: str
+    controls: Array
+    trajectories: Array
+    descriptors: Array
+    energies: Array
+    scores: Array
+    labels: Array
+    straight_score: float
+    num_candidates: int
+    cells_reached: int
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    @property
+    def coverage(self) -> float:
+        """Cells filled, as a share of the cells that any candidate reached."""
+        return len(self) / self.cells_reached
+
+    def label_of(self, scores: ArrayLike) -> Array:
+        """The achieved label of any scores `(...)`: monotone in the score, clipped to [−1, 1].
+
+        Linear between the archive's own scores, through the straight line's at ℓ = 0 if anchored.
+        """
+        scores = finite_array("scores", scores)
+        knots, labels = self._knots
+        return np.interp(scores, knots, labels)
+
+    def score_of(self, labels: ArrayLike) -> Array:
+        """The inverse of `label_of`: the score `(...)` at which a label is read."""
+        knots, values = self._knots
+        return np.interp(finite_array("labels", labels), values, knots)
+
+    @property
+    def _knots(self) -> tuple[Array, Array]:
+        if self.label == "rank":
+            return label_knots(self.scores, self.labels)
+        return label_knots(np.append(self.scores, self.straight_score), np.append(self.labels, 0.0))
+
+    def nearest(self, legibility: float) -> int:
+        """Index of the trajectory whose label is nearest; of equals, the smoothest."""
+        level = float(finite_array("legibility", legibility, ndim=0))
+        gaps = np.abs(self.labels - level)
+        ties = np.flatnonzero(gaps <= gaps.min() + 1e-12)
+        return int(ties[np.argmin(self.energies[ties])])
+
+
+class CurveGrid:
+    """MAP-Elites' container: a uniform grid over the workspace, the smoothest curve in each cell.
+
+    Args:
+        scene: gives the two ends and the workspace.
+        target: index of the goal that is meant.
+        cells: cells along each axis.
+    """
+
+    def __init__(self, scene: Scene, target: int, cells: int) -> None:
+        self.start, self.goal = scene.start, scene.target(target)
+        self.low, self.high = scene.workspace
+        self.cells = cells
+        size = cells**scene.dim
+        self.energies = np.full(size, np.inf)
+        self.controls = np.zeros((size, 4, scene.dim))
+        self.reached = np.zeros(size, dtype=bool)
+
+    @property
+    def filled(self) -> NDArray[np.intp]:
+        """Indices of the cells that hold a curve, rising."""
+        return np.flatnonzero(np.isfinite(self.energies))
+
+    def cell_of(self, descriptors: Array) -> NDArray[np.intp]:
+        """Flat index `(...)` of the cell of each point `(..., D)`; points outside go to the rim."""
+        index = ((descriptors - self.low) / (self.high - self.low) * self.cells).astype(np.intp)
+        index = np.clip(index, 0, self.cells - 1)
+        return index @ self.cells ** np.arange(len(self.low))[::-1]
+
+    def add(self, controls: Array) -> int:
+        """Place `controls (N, 4, D)`; returns how many cells were filled for the first time."""
+        trajectories = bezier_trajectories(controls, SCORE_POINTS)
+        descriptors = farthest_from_segment(trajectories, self.start, self.goal)
+        in_bounds = ((descriptors >= self.low) & (descriptors <= self.high)).all(-1)
+        controls, trajectories = controls[in_bounds], trajectories[in_bounds]
+        cells = self.cell_of(descriptors[in_bounds])
+        self.reached[cells] = True
+        inside = ((trajectories >= self.low) & (trajectories <= self.high)).all((-1, -2))
+        controls, cells = controls[inside], cells[inside]
+        energies = bending_energy(controls)
+        # The smoothest of each cell in this batch, then against the cell's elite.
+        order = np.lexsort((energies, cells))
+        cells, first = np.unique(cells[order], return_index=True)
+        best = order[first]
+        better = energies[best] < self.energies[cells]
+        cells, best = cells[better], best[better]
+        new = int(np.isinf(self.energies[cells]).sum())
+        self.energies[cells], self.controls[cells] = energies[best], controls[best]
+        return new
+
+
+def build_archive(
+    scene: Scene,
+    target: int = 0,
+    *,
+    seed: int | np.random.SeedSequence = 0,
+    sigma: float | None = None,
+    alpha: float = DEFAULT_ALPHA,
+    label: str = "anchored",
+    cells: int | None = None,
+    random_candidates: int = 4096,
+    max_candidates: int = 65_536,
+    patience: float = 0.002,
+) -> Archive:
+    """Cover all ways from the start to goal `target` with smooth curves, score and label them.
+
+    Args:
+        scene: the scene.
+        target: index of the goal that is meant.
+        seed: of the curves drawn.
+        sigma: the observer's σ [m]; `DEFAULT_SIGMA` of the dimension if not given.
+        alpha: decay of the score's weight.
+        label: `anchored` (ℓ = 0 is the straight line) or `rank` (the paper's).
+        cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
+        random_candidates: curves with random control points, drawn first.
+        max_candidates: curves in all at most.
+        patience: variation ends when a batch fills fewer new cells than this share of those filled,
+            four batches running.
+
+    Raises:
+        InvalidInputError: an argument is out of its range.
+    """
+    target = target_index(target, scene.num_goals)
+    if label not in LABELS:
+        raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {label!r}")
+    field = InformationPotentialField(scene.goals, sigma or DEFAULT_SIGMA[scene.dim])
+    alpha = float(finite_array("alpha", alpha, ndim=0))
+    cells = count("cells", cells or DEFAULT_CELLS[scene.dim], low=2)
+    random_candidates = count("random_candidates", random_candidates)
+    max_candidates = count("max_candidates", max_candidates, low=random_candidates)
+    positive("patience", patience)
+
+    rng = np.random.default_rng(seed)
+    grid = CurveGrid(scene, target, cells)
+    straight = straight_controls(grid.start, grid.goal)
+    grid.add(straight[None])
+    tried, idle = 1, 0
+    while tried < max_candidates and idle < 4:
+        size = min(_BATCH, max_candidates - tried)
+        exploring = tried < random_candidates
+        controls = np.tile(straight, (size, 1, 1))
+        controls[:, 1:3] = (
+            _random_controls(rng, scene, size) if exploring else _varied_controls(rng, grid, size)
+        )
+        new = grid.add(controls)
+        tried += size
+        idle = 0 if exploring or new >= patience * len(grid.filled) else idle + 1
+
+    filled = grid.filled
+    controls = grid.controls[filled]
+    trajectories = bezier_trajectories(controls, SCORE_POINTS)
+    scores = legibility_score(trajectories, field, target, alpha)
+    straight_score = float(scores[np.argmin(grid.energies[filled])])  # its energy is 0
+    labels = rank_label(scores) if label == "rank" else anchored_label(scores, straight_score)
+    return Archive(
+        scene=scene,
+        target=target,
+        field=field,
+        alpha=alpha,
+        label=label,
+        controls=controls,
+        trajectories=trajectories,
+        descriptors=farthest_from_segment(trajectories, grid.start, grid.goal),
+        energies=grid.energies[filled],
+        scores=scores,
+        labels=labels,
+        straight_score=straight_score,
+        num_candidates=tried,
+        cells_reached=int(grid.reached.sum()),
+    )
+
+
+def _random_controls(rng: np.random.Generator, scene: Scene, size: int) -> Array:
+    """Inner control points `(size, 2, D)` drawn uniformly in bounds."""
+    low, high = _bounds(scene.workspace)
+    return rng.uniform(low, high, (size, 2, scene.dim))
+
+
+def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Array:
+    """Inner control points of varied elites (the line operator of Vassiliades & Mouret 2018).
+
+    An elite is moved along its difference from another and by a little isotropic noise.
+    """
+    low, high = _bounds(np.stack([grid.low, grid.high]))
+    filled = grid.filled
+    parents = grid.controls[rng.choice(filled, size)][:, 1:3]
+    others = grid.controls[rng.choice(filled, size)][:, 1:3]
+    along = rng.normal(0, 0.2, (size, 1, 1))
+    noise = rng.normal(0, 0.02, parents.shape) * (high - low)
+    return np.clip(parents + along * (others - parents) + noise, low, high)
+
+
+def _bounds(workspace: Array) -> tuple[Array, Array]:
+    margin = _REACH * (workspace[1] - workspace[0])
+    return workspace[0] - margin, workspace[1] + margin
