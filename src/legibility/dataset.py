@@ -1,0 +1,345 @@
+"""Labelled trajectories on disk: random scenes and a choice from their archives, flat along ℓ.
+
+A dataset is a folder with `manifest.json` and Parquet shards, a row a scene. Every scene comes from
+a seed of its own, so the bytes are the same for any number of workers, and a shard is either whole
+or not there, so an interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from .checks import Array, count
+from .curves import arc_length, path_curve
+from .errors import DatasetError, InvalidInputError
+from .files import atomic_path, read_text, write_json
+from .intent.labels import LABELS
+from .intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
+from .motion.archive import DEFAULT_CELLS, Archive, build_archive
+from .motion.bezier import bezier_trajectories
+from .scene import DEFAULT_SIGMA, STREAMS, Scene, stream_seed
+
+__all__ = ["NUM_WAYPOINTS", "Dataset", "DatasetConfig", "generate", "select"]
+
+NUM_WAYPOINTS = 8
+"""K: waypoints of a path between start and goal (paper, section V.C)."""
+
+LABEL_KNOTS = np.linspace(-1, 1, 65)
+"""Labels at which a scene's scores are stored, so that a score can be read as a label later."""
+
+_SHARD = 64
+_FORMAT = 1
+_MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class DatasetConfig:
+    """What a dataset is made of; together with the code it fixes every byte.
+
+    Attributes:
+        dim: 2 or 3.
+        scenes: how many random scenes.
+        seed: of the scenes and their archives.
+        stream: which seed stream the scenes are drawn from.
+        goals: least and most goals of a scene.
+        per_scene: trajectories chosen from each archive, at equal steps of ℓ.
+        label: the label along which they are chosen, `anchored` or `rank`.
+        efficiency: among trajectories of nearly the same ℓ, one whose length exceeds the shortest's
+            by |ℓ| times this share of the straight line is chosen e times less often; ℓ = 0 is then
+            the straight line, and no level takes a detour that it does not need.
+        sigma: the observer's σ [m].
+        alpha: decay of the score's weight.
+        cells: the archive's cells along each axis.
+    """
+
+    dim: int = 2
+    scenes: int = 1000
+    seed: int = 0
+    stream: str = "train"
+    goals: tuple[int, int] = (2, 6)
+    per_scene: int = 129
+    label: str = "anchored"
+    efficiency: float = 0.1
+    sigma: float = 0.0
+    alpha: float = DEFAULT_ALPHA
+    cells: int = 0
+
+    def __post_init__(self) -> None:
+        if self.dim not in DEFAULT_SIGMA:
+            raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
+        count("scenes", self.scenes)
+        count("seed", self.seed, low=0)
+        count("per_scene", self.per_scene, low=3)
+        if self.stream not in STREAMS:
+            raise InvalidInputError(
+                f"stream must be one of {', '.join(STREAMS)}, got {self.stream!r}"
+            )
+        if self.label not in LABELS:
+            raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {self.label!r}")
+        low, high = self.goals
+        if not 2 <= low <= high <= 12:
+            raise InvalidInputError(
+                f"goals must be two numbers from 2 to 12, rising, got {self.goals}"
+            )
+        if not self.efficiency > 0:
+            raise InvalidInputError(f"efficiency must be above 0, got {self.efficiency}")
+        object.__setattr__(self, "goals", (int(low), int(high)))
+        object.__setattr__(self, "sigma", self.sigma or DEFAULT_SIGMA[self.dim])
+        object.__setattr__(self, "cells", self.cells or DEFAULT_CELLS[self.dim])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for the manifest."""
+        return {**asdict(self), "goals": list(self.goals)}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> DatasetConfig:
+        """The inverse of `to_dict`; unknown keys are refused."""
+        unknown = set(content) - {f.name for f in fields(cls)}
+        if unknown:
+            raise DatasetError(f"unknown dataset settings {sorted(unknown)}")
+        return cls(**{**content, "goals": tuple(content["goals"])})
+
+    def scene(self, index: int) -> tuple[Scene, Archive]:
+        """Scene `index` of this dataset and its archive; the target is goal 0."""
+        draw, build = stream_seed(self.stream, self.seed, index).spawn(2)
+        rng = np.random.default_rng(draw)
+        num_goals = int(rng.integers(self.goals[0], self.goals[1] + 1))
+        scene = Scene.random(rng, dim=self.dim, num_goals=num_goals)
+        archive = build_archive(
+            scene,
+            seed=build,
+            sigma=self.sigma,
+            alpha=self.alpha,
+            label=self.label,
+            cells=self.cells,
+        )
+        return scene, archive
+
+    @property
+    def shard_names(self) -> list[str]:
+        """File names of all shards."""
+        return [f"{self.stream}-{i:05d}.parquet" for i in range(-(-self.scenes // _SHARD))]
+
+
+def paths_of(archive: Archive) -> Array:
+    """The archive's trajectories as paths: start, 8 waypoints at equal arc length, goal.
+
+    Returns:
+        `(N, K + 2, D)` [m].
+    """
+    return bezier_trajectories(archive.controls, NUM_WAYPOINTS + 2)
+
+
+def select(
+    archive: Archive, num: int, efficiency: float, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Choose `num` trajectories at equal steps of ℓ from −1 to 1, short ones rather than long.
+
+    A path stands for its trajectory from here on, so what is labelled is the curve through its
+    waypoints; paths whose curve leaves the workspace are not chosen.
+
+    Returns:
+        `controls (num, 4, D)`, `waypoints (num, K, D)`, `scores (num,)`, `labels (num,)`.
+    """
+    paths = paths_of(archive)
+    curves = path_curve(paths, SCORE_POINTS)
+    keep = archive.scene.contains(curves).all(-1)
+    paths, curves, controls = paths[keep], curves[keep], archive.controls[keep]
+    scores = legibility_score(curves, archive.field, archive.target, archive.alpha)
+    labels = archive.label_of(scores)
+    detour = arc_length(curves) / np.linalg.norm(paths[0, -1] - paths[0, 0]) - 1
+
+    order = np.argsort(labels, kind="stable")
+    ranked = labels[order]
+    wanted = np.linspace(-1, 1, num)
+    # Candidates for a level: all within half a step, and its eight nearest on either side at least.
+    centre = np.searchsorted(ranked, wanted)
+    low = np.minimum(np.searchsorted(ranked, wanted - 1 / num), np.maximum(centre - 4, 0))
+    high = np.maximum(np.searchsorted(ranked, wanted + 1 / num), np.minimum(centre + 4, len(order)))
+    chosen = np.empty(num, dtype=np.intp)
+    for i, (a, b) in enumerate(zip(low, high, strict=True)):
+        candidates = order[a:b]
+        excess = detour[candidates] - detour[candidates].min()
+        weights = np.exp(-excess / (efficiency * max(abs(wanted[i]), 1e-3)))
+        chosen[i] = rng.choice(candidates, p=weights / weights.sum())
+    return {
+        "controls": controls[chosen],
+        "waypoints": paths[chosen, 1:-1],
+        "scores": scores[chosen],
+        "labels": labels[chosen],
+    }
+
+
+def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
+    scene, archive = config.scene(index)
+    rng = np.random.default_rng(stream_seed(config.stream, config.seed, index).spawn(3)[2])
+    chosen = select(archive, config.per_scene, config.efficiency, rng)
+    return {
+        "scene": index,
+        "start": scene.start,
+        "goals": scene.goals.ravel(),
+        "workspace": scene.workspace.ravel(),
+        "elites": len(archive),
+        "candidates": archive.num_candidates,
+        "coverage": archive.coverage,
+        "straight_score": archive.straight_score,
+        "score_at_label": archive.score_of(LABEL_KNOTS),
+        **{name: values.astype(np.float32).ravel() for name, values in chosen.items()},
+    }
+
+
+def _write_shard(config: DatasetConfig, folder: Path, number: int) -> None:
+    first = number * _SHARD
+    rows = [_row(config, i) for i in range(first, min(first + _SHARD, config.scenes))]
+    columns = {name: pa.array([row[name] for row in rows]) for name in rows[0]}
+    with atomic_path(folder / config.shard_names[number]) as temporary:
+        pq.write_table(pa.table(columns), temporary, compression="zstd")
+
+
+def generate(
+    config: DatasetConfig,
+    folder: str | Path,
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Dataset:
+    """Make the dataset in `folder`, or go on with it; the same bytes for any number of workers.
+
+    Args:
+        config: what to make.
+        folder: where to; made if it is missing.
+        workers: processes.
+        progress: called with the shards done and all of them.
+
+    Raises:
+        DatasetError: the folder holds a dataset of another configuration.
+        OutputError: the folder cannot be written.
+    """
+    from joblib import Parallel, delayed
+
+    count("workers", workers)
+    folder = Path(folder)
+    if (folder / _MANIFEST).exists():
+        found = _read_manifest(folder)
+        if found["config"] != config.to_dict():
+            raise DatasetError(
+                f"{folder} holds a dataset of another configuration; choose another folder"
+            )
+        if found["complete"]:
+            return Dataset.load(folder)
+    manifest = {"format": _FORMAT, "config": config.to_dict(), "complete": False}
+    write_json(folder / _MANIFEST, manifest)
+
+    names = config.shard_names
+    missing = [i for i, name in enumerate(names) if not (folder / name).exists()]
+    progress(len(names) - len(missing), len(names))
+    run = Parallel(n_jobs=workers, return_as="generator_unordered")
+    results = run(delayed(_write_shard)(config, folder, i) for i in missing)
+    for done, _ in enumerate(results, len(names) - len(missing) + 1):  # pyright: ignore
+        progress(done, len(names))
+
+    shards = [{"name": n, "sha256": _sha256(folder / n)} for n in names]
+    counts = {"scenes": config.scenes, "trajectories": config.scenes * config.per_scene}
+    write_json(
+        folder / _MANIFEST, {**manifest, "complete": True, "counts": counts, "shards": shards}
+    )
+    return Dataset.load(folder)
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """A dataset in memory; `S` scenes, `N` trajectories a scene.
+
+    Attributes:
+        config: what it was made with.
+        digest: hash over all shards, which names the data in a model card.
+        scenes: the S scenes; the target is goal 0 in each.
+        controls: `(S, N, 4, D)` float32 [m], cubic Béziers.
+        waypoints: `(S, N, K, D)` float32 [m], between start and goal at equal arc length.
+        scores: `(S, N)` float32, of the curve through start, waypoints and goal.
+        labels: `(S, N)` float32.
+        score_at_label: `(S, 65)` the scene's score at each of `LABEL_KNOTS`.
+        summary: `(S,)` arrays by name: elites, candidates, coverage, straight_score.
+    """
+
+    config: DatasetConfig
+    digest: str
+    scenes: list[Scene]
+    controls: np.ndarray
+    waypoints: np.ndarray
+    scores: np.ndarray
+    labels: np.ndarray
+    score_at_label: Array
+    summary: dict[str, np.ndarray]
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Dataset:
+        """Read a complete dataset, checking every shard's hash.
+
+        Raises:
+            DatasetError: it is missing, incomplete or changed since it was written.
+        """
+        folder = Path(folder)
+        manifest = _read_manifest(folder)
+        if not manifest["complete"]:
+            raise DatasetError(f"{folder} is not complete; run the same `legibility data` again")
+        config = DatasetConfig.from_dict(manifest["config"])
+        tables, digest = [], hashlib.sha256()
+        for shard in manifest["shards"]:
+            path = folder / shard["name"]
+            if not path.exists() or _sha256(path) != shard["sha256"]:
+                raise DatasetError(f"{path} is missing or not as it was written")
+            digest.update(shard["sha256"].encode())
+            tables.append(pq.read_table(path))
+        table = pa.concat_tables(tables).combine_chunks()
+        dim, size, num = config.dim, config.scenes, config.per_scene
+
+        def dense(name: str, *shape: int) -> np.ndarray:
+            return _flat(table[name]).reshape(size, *shape)
+
+        goals = [np.asarray(g).reshape(-1, dim) for g in table["goals"].to_pylist()]
+        starts, corners = dense("start", dim), dense("workspace", 2, dim)
+        return cls(
+            config=config,
+            digest=digest.hexdigest(),
+            scenes=[Scene(*args) for args in zip(starts, goals, corners, strict=True)],
+            controls=dense("controls", num, 4, dim),
+            waypoints=dense("waypoints", num, NUM_WAYPOINTS, dim),
+            scores=dense("scores", num),
+            labels=dense("labels", num),
+            score_at_label=dense("score_at_label", len(LABEL_KNOTS)),
+            summary={
+                name: table[name].to_numpy()
+                for name in ("elites", "candidates", "coverage", "straight_score")
+            },
+        )
+
+
+def _flat(column: pa.ChunkedArray) -> np.ndarray:
+    """All numbers of a list column, one after another."""
+    return column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+
+
+def _read_manifest(folder: Path) -> dict[str, Any]:
+    text = read_text(folder / _MANIFEST, "dataset manifest", DatasetError)
+    try:
+        manifest = json.loads(text)
+        if manifest["format"] != _FORMAT:
+            raise DatasetError(f"{folder} has dataset format {manifest['format']}, not {_FORMAT}")
+        return manifest
+    except (ValueError, KeyError, TypeError) as cause:
+        raise DatasetError(f"{folder / _MANIFEST} is not a dataset manifest") from cause
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
