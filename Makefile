@@ -10,8 +10,10 @@ STAMP := $(VENV)/.installed
 
 # What `make weights` and `make evaluate` use; each can be set on the command line.
 MODEL ?= block-reach-2d
-SCENES ?= 4000
+SCENES ?= 6400
+STEPS ?= 8000
 SEED ?= 0
+WORKERS ?= 2
 DATA ?= runs/$(MODEL)/data
 RUN ?= runs/$(MODEL)/path
 EVALUATION_SCENES ?= 200
@@ -34,7 +36,8 @@ venv: $(BIN)/python ## make $(VENV) if it is missing (PYTHON=python3.12 chooses 
 install: $(STAMP) ## install the package and its tested dependencies into $(VENV)
 
 demo: $(STAMP) ## plan the paper's 2-D scene at nine levels on the shipped weights
-	$(LEGIBILITY) demo
+	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 \
+		--figure out/demo.png --json out/demo.json
 
 test: lint ## lint, then every test
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -53,12 +56,17 @@ format: $(STAMP) ## let ruff repair what it can
 	$(BIN)/ruff format
 
 weights: $(STAMP) ## make the shipped weights from nothing: data, then training
-	$(LEGIBILITY) data --dim 2 --scenes $(SCENES) --seed $(SEED) --out $(DATA)
-	$(LEGIBILITY) train path --data $(DATA) --out $(RUN)
+	$(LEGIBILITY) data --dim 2 --scenes $(SCENES) --seed $(SEED) --workers $(WORKERS) --out $(DATA)
+	$(LEGIBILITY) train path --data $(DATA) --out $(RUN) --steps $(STEPS) --seed $(SEED) \
+		--workers $(WORKERS) --weights src/legibility/weights/$(MODEL)
+	$(MAKE) evaluate
 
-evaluate: $(STAMP) ## measure the dial on scenes never seen
+evaluate: $(STAMP) ## measure the dial on scenes never seen; render tables, figures, model card
 	$(LEGIBILITY) evaluate dial --model $(MODEL) --scenes $(EVALUATION_SCENES) \
 		--goals $(EVALUATION_GOALS) --seed $(SEED) --json $(RESULTS)/dial-$(MODEL).json
+	$(LEGIBILITY) plan examples/paper.yaml --model $(MODEL) --target 0 --legibility -1:1:9 \
+		--figure $(RESULTS)/paper-scene.png --json $(RESULTS)/paper-scene.json
+	$(LEGIBILITY) report $(RESULTS) --readme README.md --weights src/legibility/weights
 
 clean: ## remove caches and build products
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis

@@ -129,6 +129,13 @@ def count(name: str, value: Any, *, low: int = 1) -> int:
     return int(value)
 
 
+def random_seed(name: str, value: Any) -> int:
+    """An integer in [0, 2⁶³), what every generator here takes."""
+    if count(name, value, low=0) >= 2**63:
+        raise InvalidInputError(f"{name} must be below 2**63, got {value}")
+    return int(value)
+
+
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .checks import Array, count
+from .checks import Array, bounded, count, positive, random_seed
 from .curves import arc_length, path_curve
 from .errors import DatasetError, InvalidInputError
 from .files import atomic_path, read_text, write_json
@@ -39,6 +39,7 @@ LABEL_KNOTS = np.linspace(-1, 1, 65)
 _SHARD = 64
 _FORMAT = 1
 _MANIFEST = "manifest.json"
+_CONFIG = b"legibility.config"
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,9 @@ class DatasetConfig:
         efficiency: among trajectories of nearly the same ℓ, one whose length exceeds the shortest's
             by |ℓ| times this share of the straight line is chosen e times less often; ℓ = 0 is then
             the straight line, and no level takes a detour that it does not need.
-        sigma: the observer's σ [m].
+        sigma: the observer's σ [m]; 0 means the default of the dimension.
         alpha: decay of the score's weight.
-        cells: the archive's cells along each axis.
+        cells: the archive's cells along each axis; 0 means the default of the dimension.
     """
 
     dim: int = 2
@@ -74,10 +75,10 @@ class DatasetConfig:
     cells: int = 0
 
     def __post_init__(self) -> None:
-        if self.dim not in DEFAULT_SIGMA:
+        if self.dim not in tuple(DEFAULT_SIGMA):
             raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
         count("scenes", self.scenes)
-        count("seed", self.seed, low=0)
+        random_seed("seed", self.seed)
         count("per_scene", self.per_scene, low=3)
         if self.stream not in STREAMS:
             raise InvalidInputError(
@@ -85,16 +86,21 @@ class DatasetConfig:
             )
         if self.label not in LABELS:
             raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {self.label!r}")
-        low, high = self.goals
-        if not 2 <= low <= high <= 12:
+        try:
+            low, high = (count("goals", number, low=2) for number in self.goals)
+        except (TypeError, ValueError):
+            low, high = 1, 0
+        if not low <= high <= 12:
             raise InvalidInputError(
-                f"goals must be two numbers from 2 to 12, rising, got {self.goals}"
+                f"goals must be two integers from 2 to 12, rising, got {self.goals}"
             )
-        if not self.efficiency > 0:
-            raise InvalidInputError(f"efficiency must be above 0, got {self.efficiency}")
-        object.__setattr__(self, "goals", (int(low), int(high)))
+        object.__setattr__(self, "goals", (low, high))
         object.__setattr__(self, "sigma", self.sigma or DEFAULT_SIGMA[self.dim])
         object.__setattr__(self, "cells", self.cells or DEFAULT_CELLS[self.dim])
+        positive("efficiency", self.efficiency)
+        positive("sigma", self.sigma)
+        bounded("alpha", self.alpha, 0)
+        count("cells", self.cells, low=8)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the manifest."""
@@ -202,7 +208,21 @@ def _write_shard(config: DatasetConfig, folder: Path, number: int) -> None:
     rows = [_row(config, i) for i in range(first, min(first + _SHARD, config.scenes))]
     columns = {name: pa.array([row[name] for row in rows]) for name in rows[0]}
     with atomic_path(folder / config.shard_names[number]) as temporary:
-        pq.write_table(pa.table(columns), temporary, compression="zstd")
+        table = pa.table(columns).replace_schema_metadata({_CONFIG: _canonical(config)})
+        pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+
+
+def _canonical(config: DatasetConfig) -> bytes:
+    return json.dumps(config.to_dict(), sort_keys=True).encode()
+
+
+def _is_whole(path: Path, config: DatasetConfig) -> bool:
+    """Whether `path` is a shard of `config` that can be read, so that a run may go on from it."""
+    try:
+        metadata = pq.read_table(path, page_checksum_verification=True).schema.metadata or {}
+    except (OSError, pa.ArrowException):
+        return False
+    return metadata.get(_CONFIG) == _canonical(config)
 
 
 def generate(
@@ -240,7 +260,7 @@ def generate(
     write_json(folder / _MANIFEST, manifest)
 
     names = config.shard_names
-    missing = [i for i, name in enumerate(names) if not (folder / name).exists()]
+    missing = [i for i, name in enumerate(names) if not _is_whole(folder / name, config)]
     progress(len(names) - len(missing), len(names))
     run = Parallel(n_jobs=workers, return_as="generator_unordered")
     results = run(delayed(_write_shard)(config, folder, i) for i in missing)
@@ -292,6 +312,15 @@ class Dataset:
         manifest = _read_manifest(folder)
         if not manifest["complete"]:
             raise DatasetError(f"{folder} is not complete; run the same `legibility data` again")
+        try:
+            return cls._read(folder, manifest)
+        except DatasetError:
+            raise
+        except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
+            raise DatasetError(f"{folder} has a manifest that is not its own") from cause
+
+    @classmethod
+    def _read(cls, folder: Path, manifest: dict[str, Any]) -> Dataset:
         config = DatasetConfig.from_dict(manifest["config"])
         tables, digest = [], hashlib.sha256()
         for shard in manifest["shards"]:
@@ -333,10 +362,12 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     text = read_text(folder / _MANIFEST, "dataset manifest", DatasetError)
     try:
         manifest = json.loads(text)
+        if not {"config", "complete"} <= manifest.keys():
+            raise KeyError("config")
         if manifest["format"] != _FORMAT:
             raise DatasetError(f"{folder} has dataset format {manifest['format']}, not {_FORMAT}")
         return manifest
-    except (ValueError, KeyError, TypeError) as cause:
+    except (ValueError, KeyError, TypeError, AttributeError) as cause:
         raise DatasetError(f"{folder / _MANIFEST} is not a dataset manifest") from cause
 
 

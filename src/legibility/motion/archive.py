@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, count, finite_array, positive, target_index
+from ..checks import Array, count, finite_array, positive, random_seed, target_index
 from ..curves import farthest_from_segment
-from ..errors import InvalidInputError
+from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.field import InformationPotentialField
 from ..intent.labels import LABELS, anchored_label, label_knots, rank_label
 from ..intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
@@ -120,6 +120,7 @@ class CurveGrid:
         size = cells**scene.dim
         self.energies = np.full(size, np.inf)
         self.controls = np.zeros((size, 4, scene.dim))
+        self.descriptors = np.zeros((size, scene.dim))
         self.reached = np.zeros(size, dtype=bool)
 
     @property
@@ -138,11 +139,13 @@ class CurveGrid:
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
         descriptors = farthest_from_segment(trajectories, self.start, self.goal)
         in_bounds = ((descriptors >= self.low) & (descriptors <= self.high)).all(-1)
-        controls, trajectories = controls[in_bounds], trajectories[in_bounds]
-        cells = self.cell_of(descriptors[in_bounds])
+        controls, trajectories, descriptors = (
+            x[in_bounds] for x in (controls, trajectories, descriptors)
+        )
+        cells = self.cell_of(descriptors)
         self.reached[cells] = True
         inside = ((trajectories >= self.low) & (trajectories <= self.high)).all((-1, -2))
-        controls, cells = controls[inside], cells[inside]
+        controls, descriptors, cells = controls[inside], descriptors[inside], cells[inside]
         energies = bending_energy(controls)
         # The smoothest of each cell in this batch, then against the cell's elite.
         order = np.lexsort((energies, cells))
@@ -152,6 +155,7 @@ class CurveGrid:
         cells, best = cells[better], best[better]
         new = int(np.isinf(self.energies[cells]).sum())
         self.energies[cells], self.controls[cells] = energies[best], controls[best]
+        self.descriptors[cells] = descriptors[best]
         return new
 
 
@@ -186,15 +190,20 @@ def build_archive(
     Raises:
         InvalidInputError: an argument is out of its range.
     """
+    if not isinstance(scene, Scene):
+        raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
     target = target_index(target, scene.num_goals)
     if label not in LABELS:
         raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {label!r}")
-    field = InformationPotentialField(scene.goals, sigma or DEFAULT_SIGMA[scene.dim])
+    sigma = DEFAULT_SIGMA[scene.dim] if sigma is None else sigma
+    field = InformationPotentialField(scene.goals, sigma)
     alpha = float(finite_array("alpha", alpha, ndim=0))
-    cells = count("cells", cells or DEFAULT_CELLS[scene.dim], low=2)
+    cells = count("cells", DEFAULT_CELLS[scene.dim] if cells is None else cells, low=2)
     random_candidates = count("random_candidates", random_candidates)
     max_candidates = count("max_candidates", max_candidates, low=random_candidates)
     positive("patience", patience)
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = random_seed("seed", seed)
 
     rng = np.random.default_rng(seed)
     grid = CurveGrid(scene, target, cells)
@@ -226,7 +235,7 @@ def build_archive(
         label=label,
         controls=controls,
         trajectories=trajectories,
-        descriptors=farthest_from_segment(trajectories, grid.start, grid.goal),
+        descriptors=grid.descriptors[filled],
         energies=grid.energies[filled],
         scores=scores,
         labels=labels,

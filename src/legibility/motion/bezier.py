@@ -61,4 +61,6 @@ def bending_energy(controls: Array) -> Array:
 
 def straight_controls(start: Array, goal: Array) -> Array:
     """`(4, D)`: the straight line from `start` to `goal` at constant speed."""
-    return start + np.linspace(0, 1, 4)[:, None] * (goal - start)
+    controls = start + np.linspace(0, 1, 4)[:, None] * (goal - start)
+    controls[-1] = goal  # free of rounding
+    return controls

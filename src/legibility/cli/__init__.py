@@ -1,0 +1,119 @@
+"""The command `legibility`: one file a verb, which parses, calls and prints.
+
+A verb's file is imported only when it is asked for, so that help and mistakes are answered at once.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ..errors import LegibilityError
+from .output import ARGUMENTS
+
+__all__ = ["main"]
+
+_VERBS = {
+    "plan": "plan motions through a scene, one for each legibility asked",
+    "score": "rate trajectories of a CSV file by every metric; no model is needed",
+    "data": "make a dataset of labelled trajectories, or describe one",
+    "train path": "train stage 1, the path diffuser",
+    "evaluate dial": "measure achieved against asked legibility on scenes never seen",
+    "report": "render measurements as tables, figures and model cards",
+}
+_GROUPS = {
+    "train": "make the weights of a model from a dataset",
+    "evaluate": "measure a model on scenes that training never drew",
+}
+_RESUMED = ("data", "train")
+"""Verbs that go on where they were interrupted."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `legibility` and return its exit status: 0, 2 for a mistake, 130 for an interrupt.
+
+    Args:
+        arguments: without the command's own name; those of the process if not given.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and not stream.encoding.lower().startswith("utf"):
+            stream.reconfigure(errors="replace")  # ℓ and σ become question marks, not an error
+    token = ARGUMENTS.set(given)
+    try:
+        _run(given)
+        sys.stdout.flush()
+        return 0
+    except BrokenPipeError:
+        # The reader has seen enough. What is still buffered would fail again at exit, uncaught.
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        return 0
+    except SystemExit as stop:  # of the parser: 0 after --help, 2 after a mistake
+        return stop.code if isinstance(stop.code, int) else 2
+    except KeyboardInterrupt:
+        resumes = bool(given) and given[0] in _RESUMED
+        return _fail("interrupted" + "; the same command resumes" * resumes, 130)
+    except LegibilityError as error:
+        return _fail(f"error: {error}", 2)
+    except OSError as error:  # a full or failing disk below a library
+        return _fail(f"error: {error.filename or 'input/output'}: {error.strerror or error}", 2)
+    finally:
+        ARGUMENTS.reset(token)
+
+
+def _fail(message: str, status: int) -> int:
+    print("legibility:", " ".join(message.split()), file=sys.stderr)
+    return status
+
+
+def _run(arguments: list[str]) -> None:
+    if arguments == ["--version"]:
+        from .. import __version__
+
+        print(f"legibility {__version__}")
+        return
+    from tyro.conf import OmitArgPrefixes
+    from tyro.extras import subcommand_cli_from_dict
+
+    group = next(iter(arguments), None)
+    program, commands, rest = "legibility", {}, arguments
+    if group in _GROUPS:
+        program, rest = f"legibility {group}", arguments[1:]
+        verbs = {n: s for n, s in _VERBS.items() if n.startswith(f"{group} ")}
+    else:
+        verbs = {n: s for n, s in _VERBS.items() if " " not in n} | _GROUPS
+    for name, summary in verbs.items():
+        word = name.split()[-1]
+        commands[word] = _load(name) if rest[:1] == [word] else _named(summary)
+    subcommand_cli_from_dict(
+        commands,
+        prog=program,
+        description=None if group in _GROUPS else _DESCRIPTION,
+        args=rest,
+        config=(OmitArgPrefixes,),
+    )
+
+
+_DESCRIPTION = """\
+Robot motion with a dial for legibility, from most ambiguous (−1) to most legible (1).
+
+For a verb's own help give VERB --help, for the version --version."""
+
+
+def _load(name: str) -> Callable[..., Any]:
+    """The function of a verb: `plan` of cli/plan.py, `path` of cli/train.py for "train path"."""
+    module, *words = name.split()
+    return getattr(importlib.import_module(f".{module}", __name__), words[0] if words else module)
+
+
+def _named(summary: str) -> Callable[[], None]:
+    """Stands for a verb that was not asked for in the list of verbs."""
+
+    def verb() -> None: ...
+
+    verb.__doc__ = summary
+    return verb

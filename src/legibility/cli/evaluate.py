@@ -1,0 +1,80 @@
+"""`legibility evaluate dial`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from tyro.conf import arg
+
+from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial
+from ..modulator import Modulator
+from .options import MODEL, OutputFile, flags, made
+from .output import (
+    check_figure,
+    check_file,
+    model_record,
+    number,
+    progress_bar,
+    show,
+    table,
+    write_report,
+)
+
+_Flags = flags(DialConfig)
+
+
+def dial(
+    evaluation: Annotated[Any, arg(constructor=_Flags)],
+    model: str = MODEL,
+    figure: OutputFile = None,
+    json: OutputFile = None,
+) -> None:
+    """Measure achieved against asked legibility on random scenes that training never drew.
+
+    Args:
+        evaluation: what is measured.
+        model: name of weights that came with the package, or a folder.
+        figure: a picture of asked against achieved, .png, .pdf or .svg.
+        json: everything as JSON.
+    """
+    settings = made(DialConfig, evaluation)
+    check_figure(figure)
+    check_file(json, "JSON file")
+    modulator = Modulator.from_pretrained(model)
+    used = model_record(model)
+    with progress_bar("scenes") as progress:
+        result = evaluate_dial(modulator, settings, progress=progress)
+    if figure is not None:
+        from ..evaluation.figures import dial_figure
+
+        dial_figure(result, figure)
+    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
+
+    rows = table(
+        f"{model} on {settings.scenes} scenes with {'..'.join(map(str, settings.goals))} goals",
+        "figure", "mean", "95 % interval", "worst", "what it is", text_columns=1,
+    )  # fmt: skip
+    rows.columns[-1].justify = "left"
+    for name, figures in result["overall"].items():
+        low, high = figures["interval"]
+        what = FIGURES.get(name, "")
+        rows.add_row(
+            name, number(figures["mean"], 4), f"{number(low, 4)} … {number(high, 4)}",
+            _worst(what, figures), what,
+        )  # fmt: skip
+    show(rows, f"one plan on one core: {number(result['plan_ms'], 1)} ms")
+
+
+def _worst(what: str, figures: dict[str, float]) -> str:
+    """The worst scene's value, if the figure's description says which way is better."""
+    low, high = figures["min"], figures["max"]
+    _, _, better = what.rpartition("; ")
+    if better.startswith("higher"):
+        return number(low, 4)
+    if better.startswith("lower"):
+        return number(high, 4)
+    if better.startswith("nearer to "):
+        wanted = float(better.split()[2].replace("−", "-"))
+        return number(max((low, high), key=lambda value: abs(value - wanted)), 4)
+    return ""

@@ -1,0 +1,122 @@
+"""What verbs read from the command line beyond tyro's own types."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from ..checks import Array, count, legibility_levels
+from ..errors import InvalidInputError
+
+__all__ = [
+    "MODEL",
+    "Folder",
+    "OptionalFloat",
+    "OptionalInt",
+    "OutputFile",
+    "SceneFile",
+    "check_seed",
+    "flags",
+    "levels",
+    "made",
+    "span",
+]
+
+MODEL = "block-reach-2d"
+"""The model that verbs use if none is given."""
+
+SceneFile = Annotated[Positional[Path], arg(metavar="SCENE", help_behavior_hint="")]
+OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
+Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
+OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")]
+
+_OPTIONAL: dict[Any, Any] = {int | None: OptionalInt, float | None: OptionalFloat}
+
+Settings = TypeVar("Settings")
+
+
+def levels(entries: Sequence[str]) -> Array:
+    """Levels of legibility: each entry a number or LOW:HIGH:COUNT, which means equal steps."""
+    values: list[float] = []
+    for entry in entries:
+        parts = entry.split(":")
+        try:
+            if len(parts) == 1:
+                values.append(float(entry))
+                continue
+            low, high, steps = float(parts[0]), float(parts[1]), int(parts[2])
+            if len(parts) > 3 or not 1 <= steps <= 100_000:
+                raise ValueError
+        except (ValueError, IndexError):
+            raise InvalidInputError(
+                f"legibility must be numbers or LOW:HIGH:COUNT, got {entry!r}"
+            ) from None
+        legibility_levels([low, high])
+        values += np.round(np.linspace(low, high, steps), 12).tolist()
+    if not values:
+        raise InvalidInputError("legibility must be at least one number, got none")
+    return legibility_levels(values) + 0.0  # −0 becomes 0
+
+
+def span(name: str, text: str) -> tuple[int, int]:
+    """A range of whole numbers: `LOW..HIGH`, or one number for both."""
+    found = re.fullmatch(r"([0-9]{1,9})(?:\.\.([0-9]{1,9}))?", text.strip(), re.ASCII)
+    if found is None:
+        raise InvalidInputError(f"{name} must be a number or LOW..HIGH, got {text!r}")
+    low, high = int(found[1]), int(found[2] or found[1])
+    if low > high:
+        raise InvalidInputError(f"{name} must rise from LOW to HIGH, got {text!r}")
+    return low, high
+
+
+def check_seed(seed: int) -> None:
+    """Raise if `seed` is more than torch's generators take, with room for one a scene."""
+    if not 0 <= seed < 2**32:
+        raise InvalidInputError(f"seed must be an integer from 0 to {2**32 - 1}, got {seed}")
+
+
+def flags(settings: type, *omitted: str) -> Any:
+    """The fields of a dataclass as flags, with its defaults and its docstring as their help.
+
+    The flags are not checked yet, so that what is wrong with them is told by `made` in the
+    dataclass's own words. A range is a text, see `span`.
+    """
+    types = get_type_hints(settings)
+    fields: list[Any] = []
+    for field in dataclasses.fields(settings):
+        if field.name in omitted:
+            continue
+        kind: Any = types[field.name]
+        default: Any = field.default
+        if kind == tuple[int, int]:
+            low, high = default
+            kind = Annotated[str, arg(metavar="LOW..HIGH")]
+            default = f"{low}..{high}"
+        elif kind in _OPTIONAL:
+            kind = _OPTIONAL[kind]
+        fields.append((field.name, kind, dataclasses.field(default=default)))
+    return dataclasses.make_dataclass(
+        settings.__name__, fields, kw_only=True, namespace={"__doc__": settings.__doc__}
+    )
+
+
+def made(settings: type[Settings], given: Any, **rest: Any) -> Settings:
+    """The dataclass that `given`, the parsed `flags` of it, stand for."""
+    types = get_type_hints(settings)
+    values: dict[str, Any] = {
+        name: span(name, value) if types[name] == tuple[int, int] else value
+        for name, value in vars(given).items()
+    }
+    for name in values:
+        if types[name] is int:
+            count(name, values[name], low=0)
+    if "seed" in values:
+        check_seed(values["seed"])
+    return settings(**values, **rest)

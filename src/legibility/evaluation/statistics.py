@@ -1,0 +1,54 @@
+"""Statistics of the evaluations: bootstrap intervals over scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..checks import Array
+
+__all__ = ["bootstrap_interval", "rank_correlation", "summary"]
+
+
+def bootstrap_interval(
+    values: Array, statistic: Callable[..., Array] = np.mean, level: float = 0.95
+) -> tuple[float, float]:
+    """Percentile bootstrap interval (Efron 1979) of `statistic` over `values (N,)`, seeded."""
+    from scipy.stats import bootstrap
+
+    values = np.asarray(values, dtype=np.float64)
+    if len(values) < 2 or np.ptp(values) == 0:
+        only = float(statistic(values))
+        return only, only
+    found = bootstrap(
+        (values,),
+        statistic,
+        confidence_level=level,
+        method="percentile",
+        n_resamples=4000,
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    return float(found.low), float(found.high)
+
+
+def rank_correlation(asked: Array, achieved: Array) -> float:
+    """Spearman's correlation of two arrays `(N,)`; 0 where one of them is constant."""
+    from scipy.stats import rankdata
+
+    # Rounded, so that what differs by rounding alone is a tie.
+    ranks = np.stack([rankdata(np.round(x, 9)) for x in (asked, achieved)])
+    ranks -= ranks.mean(axis=1, keepdims=True)
+    norms = np.linalg.norm(ranks, axis=1)
+    return float(ranks[0] @ ranks[1] / norms.prod()) if norms.all() else 0.0
+
+
+def summary(values: Array) -> dict[str, float | list[float]]:
+    """Mean over scenes with its 95 % interval, and the worst and best scene."""
+    values = np.asarray(values, dtype=np.float64)
+    return {
+        "mean": float(values.mean()),
+        "interval": list(bootstrap_interval(values)),
+        "min": float(values.min()),
+        "max": float(values.max()),
+    }

@@ -1,0 +1,1 @@
+"""Networks, diffusion, the two stages and their checkpoints."""

@@ -1,0 +1,128 @@
+"""The frame in which the networks see a scene: the start is the origin, the target (1, 0, …).
+
+Whatever is left of a scene in this frame (where the distractors pull, how far the walls are, how
+wide the observer's likelihood is) is what a network must know, and nothing else: it need not learn
+that a scene may be moved, turned or scaled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..checks import Array
+from ..intent.field import InformationPotentialField
+from ..scene import Scene
+
+__all__ = ["Frame", "scene_image", "scene_odds", "scene_vector", "vector_size"]
+
+WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
+"""What of the frame an image shows along each axis, in lengths of the straight line."""
+
+DEPTH = 16
+"""Depth slices of an image in 3D."""
+
+FIELD_CHANNELS = 3
+"""Images of a slice: the posterior, the potential, the workspace."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Translation, rotation and scale between the world and the start–target frame.
+
+    Attributes:
+        origin: `(D,)` [m], the start.
+        rotation: `(D, D)`, rows are the frame's axes in the world; the first points at the target,
+            the second (in 3D) is horizontal.
+        scale: length of the straight line [m].
+    """
+
+    origin: Array
+    rotation: Array
+    scale: float
+
+    @classmethod
+    def of(cls, scene: Scene, target: int) -> Frame:
+        """The frame of `scene` for goal `target`."""
+        offset = scene.target(target) - scene.start
+        scale = float(np.linalg.norm(offset))
+        forward = offset / scale
+        if scene.dim == 2:
+            rotation = np.array([forward, [-forward[1], forward[0]]])
+        else:
+            side = np.cross([0.0, 0.0, 1.0], forward)
+            length = np.linalg.norm(side)
+            side = side / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+            rotation = np.array([forward, side, np.cross(forward, side)])
+        return cls(scene.start, rotation, scale)
+
+    def world_to_frame(self, points: np.ndarray) -> np.ndarray:
+        """`(..., D)` [m] to the frame, in lengths of the straight line."""
+        return (points - self.origin) @ self.rotation.T / self.scale
+
+    def frame_to_world(self, points: np.ndarray) -> np.ndarray:
+        """The inverse of `world_to_frame`."""
+        return points @ self.rotation * self.scale + self.origin
+
+
+def scene_image(
+    scene: Scene, target: int, field: InformationPotentialField, resolution: int
+) -> np.ndarray:
+    """The field and the workspace drawn in the start–target frame.
+
+    Returns:
+        `(3, H, W)` float32 in 2D, `(3·16, H, W)` in 3D with the depth slices as channels: the
+        posterior of the target, its potential (by log(1 + φ)), and the distance to the nearest wall
+        (negative outside, in lengths of the straight line, squashed by tanh).
+    """
+    frame = Frame.of(scene, target)
+    sizes = (resolution, resolution, DEPTH)[: scene.dim]
+    axes = [
+        low + (np.arange(size) + 0.5) / size * (high - low)
+        for (low, high), size in zip(WINDOW[: scene.dim], sizes, strict=True)
+    ]
+    points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
+    points = frame.frame_to_world(points)
+    potential = field.potential(points, target)
+    low, high = scene.workspace
+    wall = np.minimum(points - low, high - points).min(axis=-1) / frame.scale
+    image = np.stack([np.exp(-potential), np.log1p(potential) / 2, np.tanh(2 * wall)])
+    return image.reshape(-1, resolution, resolution).astype(np.float32)
+
+
+def scene_vector(scene: Scene, target: int, field: InformationPotentialField) -> np.ndarray:
+    """What an image cannot show exactly: the workspace's centre and half-axes in the frame, and σ.
+
+    Returns:
+        `(vector_size(D),)` float32.
+    """
+    frame = Frame.of(scene, target)
+    low, high = scene.workspace
+    half = (high - low) / 2 / frame.scale
+    parts = [
+        frame.world_to_frame((low + high) / 2),
+        (frame.rotation * half).ravel(),
+        [np.log(frame.scale / field.sigma)],
+    ]
+    return np.concatenate(parts).astype(np.float32)
+
+
+def scene_odds(
+    scene: Scene, target: int, field: InformationPotentialField
+) -> tuple[np.ndarray, np.ndarray]:
+    """The field in closed form: the log odds `log P(g|x) − log P(g*|x)` are linear in x.
+
+    Returns:
+        Slopes `(G − 1, D)` and intercepts `(G − 1,)` of the distractors, in the start–target frame,
+        so that φ(x|g*) = log(1 + Σ_g exp(slope_g · x + intercept_g)).
+    """
+    corners = np.concatenate([np.zeros((1, scene.dim)), np.eye(scene.dim)])
+    log_posterior = field.log_posterior(Frame.of(scene, target).frame_to_world(corners))
+    odds = np.delete(log_posterior, target, axis=1) - log_posterior[:, [target]]
+    return (odds[1:] - odds[0]).T.astype(np.float32), odds[0].astype(np.float32)
+
+
+def vector_size(dim: int) -> int:
+    """Length of `scene_vector`."""
+    return dim + dim * dim + 1

@@ -1,0 +1,326 @@
+"""Stage 1, the intent-aware path diffuser: start, goal, field and ℓ to 8 waypoints (paper, V.C)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ..checks import bounded, count, positive
+from ..dataset import NUM_WAYPOINTS
+from ..errors import CheckpointError, InvalidInputError
+from ..intent.field import InformationPotentialField
+from ..intent.labels import LABELS
+from ..scene import Scene
+from .frame import DEPTH, FIELD_CHANNELS, scene_image, scene_odds, scene_vector, vector_size
+from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fourier
+
+__all__ = ["Conditions", "PathDiffuser", "PathDiffuserConfig", "noise_schedule"]
+
+_NO_ODDS = -1e4
+_LEVEL_FREQUENCIES = 12
+_TIME_FREQUENCIES = 16
+
+
+@dataclass(frozen=True)
+class PathDiffuserConfig:
+    """The shape of stage 1 and what its labels mean.
+
+    Attributes:
+        dim: D, 2 or 3.
+        sigma: σ [m] of the observer whose labels it learned.
+        alpha: decay of that score's weight.
+        label: `anchored` or `rank`.
+        channels: of the U-Net's levels.
+        condition: size of the condition.
+        encoder_width: channels of the image encoder's first layer.
+        resolution: height and width of the image.
+        squash: deviations from the straight line, in its lengths, beyond which they are compressed
+            (by asinh), so that small ones are learned as exactly as large ones.
+        diffusion_steps: of the noise schedule in training.
+        sampling_steps: of the deterministic sampler.
+        guidance: weight w of classifier-free guidance, ε̂ = (1 + w) ε(c) − w ε(∅).
+    """
+
+    dim: int = 2
+    sigma: float = 0.15
+    alpha: float = 3.0
+    label: str = "anchored"
+    channels: tuple[int, ...] = (64, 128)
+    condition: int = 192
+    encoder_width: int = 16
+    resolution: int = 32
+    squash: float = 0.1
+    diffusion_steps: int = 100
+    sampling_steps: int = 4
+    guidance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.dim not in (2, 3):
+            raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
+        if self.label not in LABELS:
+            raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {self.label!r}")
+        if not self.channels or NUM_WAYPOINTS % 2 ** (len(self.channels) - 1):
+            raise InvalidInputError(f"channels must be of 1 to 4 levels, got {self.channels}")
+        for name in ("channels", "encoder_width", "resolution"):
+            value = getattr(self, name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if count(name, number) % 8:
+                    raise InvalidInputError(f"{name} must be a multiple of 8, got {number}")
+        count("condition", self.condition)
+        count("diffusion_steps", self.diffusion_steps)
+        if count("sampling_steps", self.sampling_steps) > self.diffusion_steps:
+            raise InvalidInputError(
+                f"sampling_steps must be at most {self.diffusion_steps}, got {self.sampling_steps}"
+            )
+        positive("sigma", self.sigma)
+        positive("squash", self.squash)
+        bounded("alpha", self.alpha, 0)
+        bounded("guidance", self.guidance, -1e3, 1e3)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for `config.json`."""
+        return {**asdict(self), "channels": list(self.channels)}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> PathDiffuserConfig:
+        """The inverse of `to_dict`; every key must be there and none else."""
+        names = {f.name for f in fields(cls)}
+        if set(content) != names:
+            raise CheckpointError(
+                f"a path diffuser's settings are {sorted(names)}; "
+                f"missing or unknown: {sorted(names ^ set(content))}"
+            )
+        return cls(**{**content, "channels": tuple(content["channels"])})
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What the network sees of `B` scenes, in their start–target frames.
+
+    Attributes:
+        image: `(B, C, H, W)`, see `scene_image`.
+        vector: `(B, V)`, see `scene_vector`.
+        slopes: `(B, M, D)` and
+        intercepts: `(B, M)` of the distractors' log odds, see `scene_odds`; scenes with fewer than
+            M distractors are filled up with odds of zero.
+    """
+
+    image: Tensor
+    vector: Tensor
+    slopes: Tensor
+    intercepts: Tensor
+
+    @classmethod
+    def of(
+        cls, scenes: list[Scene], targets: list[int], sigma: float, resolution: int
+    ) -> Conditions:
+        """Of `scenes`, goal `targets[i]` meant in the i-th; σ in metres."""
+        most = max(scene.num_goals for scene in scenes) - 1
+        images, vectors = [], []
+        slopes = np.zeros((len(scenes), most, scenes[0].dim), dtype=np.float32)
+        intercepts = np.full((len(scenes), most), _NO_ODDS, dtype=np.float32)
+        for i, (scene, target) in enumerate(zip(scenes, targets, strict=True)):
+            field = InformationPotentialField(scene.goals, sigma)
+            images.append(scene_image(scene, target, field, resolution))
+            vectors.append(scene_vector(scene, target, field))
+            others = scene.num_goals - 1
+            slopes[i, :others], intercepts[i, :others] = scene_odds(scene, target, field)
+        arrays = (np.stack(images), np.stack(vectors), slopes, intercepts)
+        return cls(*map(torch.from_numpy, arrays))
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> Conditions:
+        """The same after `function` of each tensor."""
+        return Conditions(*(function(getattr(self, f.name)) for f in fields(self)))
+
+    def potential(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """φ `(B, K)` at points `(B, K, D)` and its gradient there, `(B, K, D)`."""
+        odds = points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
+        against = torch.logsumexp(odds, dim=-1, keepdim=True)
+        shares = torch.exp(odds - against) * torch.sigmoid(against)
+        return nn.functional.softplus(against[..., 0]), shares @ self.slopes
+
+    def distractors(self) -> tuple[Tensor, Tensor]:
+        """Features `(B, M, 2D + 1)` of each distractor, and whether there is one, `(B, M)`.
+
+        Its position relative to the target, and slope and intercept of its log odds (by asinh).
+        """
+        variance = torch.exp(-2 * self.vector[:, -1])[:, None, None]  # σ² in the frame
+        features = [self.slopes * variance, torch.asinh(self.slopes) / 4]
+        features.append(torch.asinh(self.intercepts)[..., None] / 4)
+        return torch.cat(features, dim=-1), self.intercepts > _NO_ODDS
+
+    def wall_distance(self, points: Tensor) -> Tensor:
+        """Distance `(B, K)` of points `(B, K, D)` from the nearest wall, negative outside."""
+        dim = points.shape[-1]
+        centre, axes = self.vector[:, :dim], self.vector[:, dim : dim + dim * dim]
+        axes = axes.reshape(-1, dim, dim)
+        half = axes.norm(dim=1)
+        along = (points - centre[:, None]) @ (axes / half[:, None])
+        return (half[:, None] - along.abs()).amin(dim=-1)
+
+
+class PathDiffuser(nn.Module):
+    """Denoises the waypoints' deviation from the straight line, in the start–target frame.
+
+    The ends of a path are not generated: they are the start and the goal, exactly.
+    """
+
+    def __init__(self, config: PathDiffuserConfig) -> None:
+        super().__init__()
+        self.config = config
+        size = config.condition
+        slices = DEPTH if config.dim == 3 else 1
+        self.encoder = FieldEncoder(
+            FIELD_CHANNELS * slices, config.resolution, config.encoder_width, size
+        )
+        self.distractors = DistractorEncoder(2 * config.dim + 1, size)
+        self.place = nn.Linear(vector_size(config.dim), size)
+        self.no_field = nn.Parameter(torch.zeros(size))
+        self.scene = nn.Sequential(nn.SiLU(), Residual(size))
+        self.level = nn.Linear(2 * _LEVEL_FREQUENCIES + 1, size)
+        self.no_level = nn.Parameter(torch.zeros(size))
+        self.fuse = nn.Sequential(Residual(size), Residual(size))
+        self.time = nn.Sequential(
+            nn.Linear(2 * _TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
+        )
+        self.unet = FiLMUNet(2 * config.dim + 2, config.dim, config.channels, size)
+        self.spread: Tensor  # of the latent over the data, set by training
+        self.register_buffer("spread", torch.ones(NUM_WAYPOINTS, config.dim))
+        self.signal: Tensor  # ᾱ at each diffusion step, set by training
+        self.register_buffer("signal", torch.ones(config.diffusion_steps))
+
+    def conditions(self, scenes: list[Scene], targets: list[int]) -> Conditions:
+        """What the network sees of `scenes`, goal `targets[i]` meant in the i-th."""
+        return Conditions.of(scenes, targets, self.config.sigma, self.config.resolution)
+
+    def encode_scene(self, conditions: Conditions, keep: Tensor | None = None) -> Tensor:
+        """`(B, E)` of the scene; where `keep (B,)` is false the field is dropped."""
+        features = self.encoder(conditions.image) + self.distractors(*conditions.distractors())
+        if keep is not None:
+            features = torch.where(keep[:, None], features, self.no_field)
+        return self.scene(features + self.place(conditions.vector))
+
+    def encode(self, scene: Tensor, level: Tensor, keep: Tensor | None = None) -> Tensor:
+        """`(B, E)` of scene and ℓ `(B,)`; where `keep (B,)` is false ℓ is dropped."""
+        features = self.level(fourier(level, _LEVEL_FREQUENCIES))
+        if keep is not None:
+            features = torch.where(keep[:, None], features, self.no_level)
+        return self.fuse(scene + features)
+
+    def forward(
+        self,
+        noisy: Tensor,
+        timestep: Tensor,
+        context: Tensor,
+        conditions: Conditions,
+        keep: Tensor | None = None,
+    ) -> Tensor:
+        """The velocity v (Salimans & Ho 2022), `(B, K, D)`.
+
+        Besides the noisy waypoints themselves, the U-Net reads the field at them: its potential and
+        gradient, and the distance to the nearest wall.
+
+        Args:
+            noisy: `(B, K, D)`, noisy latent.
+            timestep: `(B,)` int, of the noise schedule.
+            context: `(B, E)` from `encode`.
+            conditions: of the `B` scenes.
+            keep: `(B,)`, where it is false the field is dropped.
+        """
+        time = timestep.to(noisy.dtype) / self.config.diffusion_steps * 2 - 1
+        condition = context + self.time(fourier(time, _TIME_FREQUENCIES))
+        with torch.no_grad():
+            points = self.from_latent(noisy)
+            potential, gradient = conditions.potential(points)
+            reading = torch.cat([
+                torch.log1p(potential)[..., None] - 1,
+                torch.asinh(gradient) / 2,
+                torch.tanh(2 * conditions.wall_distance(points))[..., None],
+            ], dim=-1)  # fmt: skip
+            if keep is not None:
+                reading = reading * keep[:, None, None]
+        return self.unet(torch.cat([noisy, reading], dim=-1), nn.functional.silu(condition))
+
+    def to_latent(self, waypoints: Tensor) -> Tensor:
+        """Waypoints `(..., K, D)` in the start–target frame to what is denoised."""
+        deviation = waypoints - self._straight(waypoints)
+        return torch.asinh(deviation / self.config.squash) / self.spread
+
+    def from_latent(self, latent: Tensor) -> Tensor:
+        """The inverse of `to_latent`."""
+        deviation = torch.sinh((latent * self.spread).clamp(-6, 6)) * self.config.squash
+        return deviation + self._straight(latent)
+
+    def _straight(self, like: Tensor) -> Tensor:
+        points = torch.zeros(NUM_WAYPOINTS, self.config.dim, dtype=like.dtype, device=like.device)
+        points[:, 0] = torch.arange(1, NUM_WAYPOINTS + 1) / (NUM_WAYPOINTS + 1)
+        return points
+
+    @torch.no_grad()
+    def sample(
+        self,
+        conditions: Conditions,
+        level: Tensor,
+        noise: Tensor,
+        *,
+        guidance: float | None = None,
+        steps: int | None = None,
+    ) -> Tensor:
+        """Draw waypoints `(B, K, D)` in the start–target frame, by deterministic DDIM.
+
+        Song et al. 2021; the same noise gives the same path.
+
+        Args:
+            conditions: of `B` scenes, or of one for all.
+            level: ℓ, `(B,)`.
+            noise: `(B, K, D)` standard normal.
+            guidance: weight w; the configuration's if not given.
+            steps: of the sampler; the configuration's if not given.
+        """
+        guidance = self.config.guidance if guidance is None else guidance
+        contexts: list[tuple[Tensor, Tensor | None]] = [
+            (self.encode(self.encode_scene(conditions), level), None)
+        ]
+        if guidance:
+            drop = torch.zeros_like(level, dtype=torch.bool)
+            scene = self.encode_scene(conditions, drop[: len(conditions.vector)])
+            contexts.append((self.encode(scene, level, drop), drop))
+        times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
+        latent = noise
+        for time, after in zip(times, [*times[1:], None], strict=True):
+            timestep = torch.full(level.shape, time, device=latent.device)
+            velocity, *free = (self(latent, timestep, c, conditions, keep) for c, keep in contexts)
+            if free:
+                velocity = velocity + guidance * (velocity - free[0])
+            signal, rest = self.signal[time].sqrt(), (1 - self.signal[time]).sqrt()
+            clean = signal * latent - rest * velocity
+            if after is None:
+                return self.from_latent(clean)
+            residue = rest * latent + signal * velocity
+            latent = self.signal[after].sqrt() * clean + (1 - self.signal[after]).sqrt() * residue
+        raise AssertionError("there is at least one step")
+
+
+def sampling_timesteps(diffusion_steps: int, steps: int) -> list[int]:
+    """`steps` of the diffusion steps, falling, evenly spaced and from the last one on.
+
+    The "trailing" spacing of Lin et al. 2024: with zero terminal signal the first step must be at
+    pure noise, however few there are.
+    """
+    return [round(diffusion_steps * (steps - i) / steps) - 1 for i in range(steps)]
+
+
+def noise_schedule(diffusion_steps: int) -> Tensor:
+    """ᾱ `(diffusion_steps,)`: squared cosine (Nichol & Dhariwal 2021), zero terminal signal."""
+    from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+
+    return DDIMScheduler(
+        num_train_timesteps=diffusion_steps,
+        beta_schedule="squaredcos_cap_v2",
+        rescale_betas_zero_snr=True,
+    ).alphas_cumprod

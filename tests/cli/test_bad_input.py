@@ -1,0 +1,195 @@
+"""Every bad input of the first issue: status 2, one line, no half-written file."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+SCENES = {
+    "NaN": ("start: [0, .nan]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "finite"),
+    "infinite": ("start: [0, 0.5]\ngoals: [[0.8, .inf], [1, 0.3]]\n", "finite"),
+    "one goal": ("start: [0, 0.5]\ngoals: [[0.8, 0.6]]\n", "at least 2"),
+    "goals coincide": ("start: [0, 0.5]\ngoals: [[0.8, 0.6], [0.8, 0.6]]\n", "coincide"),
+    "start on a goal": ("start: [0.8, 0.6]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "coincide"),
+    "outside": ("start: [0, 5]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "outside the workspace"),
+    "text": ("start: [0, a]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "numbers"),
+    "empty": ("", "a scene must be a mapping"),
+    "malformed": ("start: [0, 0.5\n", "not valid yaml"),
+    "no goals": ("start: [0, 0.5]\n", "missing"),
+    "4D": ("start: [0, 0, 0, 0]\ngoals: [[1, 0, 0, 0], [0, 1, 0, 0]]\n", "2 or 3 numbers"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), SCENES.values(), ids=SCENES.keys())
+def test_scene(text, message, here, refused):
+    Path("bad.yaml").write_text(text)
+    Path("t.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    assert message in refused("plan bad.yaml --json j.json")
+    assert message in refused("score t.csv bad.yaml --json j.json")
+
+
+@pytest.mark.parametrize("name", ["nothing.yaml", "scene.txt", "."])
+def test_scene_file(name, refused):
+    refused("plan --json j.json", name)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--target 2", "target must be a goal's index from 0 to 1, got 2"),
+        ("--target -1", "target must be"),
+        ("--legibility 1.5", "legibility must lie in [-1, 1], got 1.5"),
+        ("--legibility 0 nan", "finite"),
+        ("--legibility high", "legibility must be numbers or LOW:HIGH:COUNT, got 'high'"),
+        ("--legibility", "at least one"),
+        ("--candidates 0", "at least 1"),
+        ("--guidance nan", "guidance must be finite"),
+        ("--steps 0", "at least 1"),
+        ("--steps 100000", "at most"),
+        ("--points 1", "points must be"),
+        ("--seed -1", "seed must be"),
+        ("--seed 99999999999999999999999", "seed must be"),
+    ],
+)
+def test_plan(flags, message, weights, refused):
+    line = f"plan scene.yaml {flags} --json j.json --csv c.csv --figure f.png --model"
+    assert message in refused(line, weights)
+
+
+def test_wrong_dimension_for_the_model(weights, refused):
+    message = refused("plan solid.yaml --json j.json --model", weights)
+    assert "plans in 2D, the scene is 3D" in message
+
+
+@pytest.mark.parametrize("content", ["", "x,y\n0,0\n1,nan\n", "x,y\n0,0\n", "x,z\n0,0\n1,1\n"])
+def test_csv(content, refused):
+    Path("t.csv").write_text(content)
+    assert "t.csv" in refused("score t.csv scene.yaml --json j.json")
+
+
+@pytest.mark.parametrize(
+    "flags", ["--sigma 0", "--sigma nan", "--alpha -1", "--beta inf", "--label best", "--target 9"]
+)
+def test_score(flags, refused):
+    Path("t.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    refused(f"score t.csv scene.yaml --json j.json {flags}")
+
+
+def damaged_weights(name: str, weights: str) -> str:
+    if name == "no such model":
+        return "no-such-model"
+    folder = Path(shutil.copytree(weights, "model"))
+    tensors, config = folder / "path.safetensors", folder / "config.json"
+    if name == "no weight file":
+        tensors.unlink()
+    elif name == "cut short":
+        tensors.write_bytes(tensors.read_bytes()[:-100])
+    elif name == "not weights":
+        tensors.write_text("hello")
+    elif name == "no configuration":
+        config.unlink()
+    elif name == "not a configuration":
+        config.write_text("{")
+    return str(folder)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    ["no such model", "no weight file", "cut short", "not weights", "no configuration",
+     "not a configuration"],
+)  # fmt: skip
+def test_weights(damage, here, weights, refused):
+    model = damaged_weights(damage, weights)
+    refused("plan scene.yaml --json j.json --figure f.png --model", model)
+    refused("evaluate dial --scenes 1 --json j.json --model", model)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    ["--json scene.yaml/j.json", "--json .", "--csv scene.yaml/c.csv", "--figure f.bmp",
+     "--figure f", "--figure scene.yaml/f.png"],
+)  # fmt: skip
+def test_output_is_checked_before_the_model_is_loaded(flags, refused):
+    assert "cannot write" in refused(f"plan scene.yaml --model none {flags}")
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="/proc of Linux, read-only to root too")
+def test_read_only_output(dataset, weights, refused):
+    Path("t.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    for line in (
+        ["plan scene.yaml --json /proc/legibility/j.json --model", weights],
+        ["score t.csv scene.yaml --json /proc/j.json"],
+        ["data --scenes 1 --out /proc/legibility"],
+        ["data --figure /proc/f.png --info", dataset],
+        ["train path --out /proc/legibility --data", dataset],
+        ["evaluate dial --json /proc/j.json --model", weights],
+    ):
+        assert "cannot write" in refused(*line)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("", "give either"),
+        ("--out d --info d", "give either"),
+        ("--info d", "cannot read"),
+        ("--info d --scenes 3", "leave the rest out"),
+        ("--out d --figure f.png", "--figure belongs to --info"),
+        ("--out d --scenes 0", "at least 1"),
+        ("--out d --goals 6..2", "goals must"),
+        ("--out d --goals 1..3", "goals must"),
+        ("--out d --goals few", "goals must be a number or LOW..HIGH, got 'few'"),
+        ("--out d --dim 4", "dim must be 2 or 3"),
+        ("--out d --stream test", "stream must be"),
+        ("--out d --label best", "label must be"),
+        ("--out d --seed -1", "seed must be"),
+        ("--out scene.yaml", "is not a folder"),
+    ],
+)
+def test_data(flags, message, refused):
+    assert message in refused(f"data --json j.json {flags}")
+
+
+def test_data_of_another_configuration(dataset, refused):
+    assert "another configuration" in refused("data --scenes 5 --out", dataset)
+
+
+def test_data_that_was_changed(dataset, here, refused):
+    shutil.copytree(dataset, "d")
+    shard = Path("d/train-00000.parquet")
+    shard.write_bytes(shard.read_bytes()[:-1])
+    assert "not as it was written" in refused("data --info d")
+    assert "not as it was written" in refused("train path --data d --out r")
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--steps 0", "steps must be"),
+        ("--learning-rate nan", "learning_rate must be"),
+        ("--dropout 1", "dropout must"),
+        ("--seed -1", "seed must be"),
+        ("--validation nothing", "cannot read"),
+        ("--out scene.yaml", "is not a folder"),
+    ],
+)
+def test_train(flags, message, dataset, refused):
+    assert message in refused(f"train path --out r {flags} --data", dataset)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--scenes 0", "scenes must be"),
+        ("--goals 1..3", "goals must"),
+        ("--levels 2", "levels must be"),
+        ("--samples -1", "samples must be"),
+        ("--guidance nan", "guidance must be"),
+        ("--steps 0", "steps must be"),
+        ("--figure f.doc", "must end in"),
+    ],
+)
+def test_evaluate(flags, message, weights, refused):
+    line = f"evaluate dial --scenes 1 {flags} --json j.json --model"
+    assert message in refused(line, weights)

@@ -1,0 +1,55 @@
+import json
+from pathlib import Path
+
+import numpy as np
+
+from legibility.dataset import Dataset
+
+
+def test_describes(dataset, here, cli, capsys):
+    assert cli("data --figure a/info.png --json i.json --info", dataset) == 0
+    text = capsys.readouterr().out
+    content = json.loads(Path("i.json").read_text())
+    data = Dataset.load(dataset)
+    assert content["command"].startswith("legibility data --figure ")
+    assert content["seed"] == 0
+    assert content["config"] == data.config.to_dict()
+    result = content["result"]
+    assert (result["scenes"], result["trajectories"]) == (4, 4 * 17)
+    assert result["sha256"] == data.digest
+    assert sum(result["goals"].values()) == 4
+    assert sum(result["labels"]["counts"]) == 4 * 17
+    assert result["coverage"]["mean"] == np.mean(data.summary["coverage"])
+    assert "█" in text
+    assert "2..3" in text
+    assert Path("a/info.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_picture_lies_beside_the_data_by_default(dataset, cli, capsys):
+    assert cli("data --info", dataset) == 0
+    assert (dataset / "info.png").exists()
+    (dataset / "info.png").unlink()
+
+
+def test_same_bytes_from_the_same_command(dataset, here, cli):
+    line = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --workers 2 --json d.json --out"
+    assert cli(line, "again") == 0
+    names = {file.name for file in dataset.iterdir()}
+    assert names == {file.name for file in Path("again").iterdir()}
+    for name in names:
+        assert (dataset / name).read_bytes() == Path("again", name).read_bytes()
+    assert json.loads(Path("d.json").read_text())["config"]["goals"] == [2, 3]
+    assert cli(line, "again") == 0  # there already
+
+
+def test_three_dimensions(here, cli):
+    flags = "--dim 3 --goals 3 --label rank --seed 5 --stream validation --per-scene 9 --cells 6"
+    assert cli(f"data --scenes 1 {flags} --out d") == 0
+    assert cli("data --info d --figure d.svg") == 0
+    config = Dataset.load("d").config
+    assert (config.dim, config.label, config.stream, config.goals) == (
+        3,
+        "rank",
+        "validation",
+        (3, 3),
+    )

@@ -1,0 +1,157 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import legibility
+from legibility.cli import main
+
+
+def command(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
+    line = [sys.executable, "-m", "legibility", *arguments]
+    return subprocess.run(line, capture_output=True, text=True, timeout=60, **options)
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"legibility {legibility.__version__}\n"
+
+
+def test_help_names_every_verb_and_loads_nothing_heavy():
+    code = (
+        "import sys; from legibility.cli import main; main(['--help']); print(sorted(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    text, modules = found.stdout.rsplit("\n[", 1)
+    for verb in ("plan", "score", "data", "train", "evaluate"):
+        assert f"• {verb} " in text
+    for module in ("torch", "pyarrow", "matplotlib", "scipy", "diffusers"):
+        assert f"'{module}'" not in modules
+
+
+@pytest.mark.parametrize(
+    ("verb", "flags"),
+    [
+        ("plan", ["--legibility", "--figure", "--json", "--csv", "--candidates", "--guidance"]),
+        ("score", ["--sigma", "--alpha", "--beta", "--json"]),
+        (
+            "data",
+            ["--scenes", "--goals LOW..HIGH", "--workers", "--info", "--per-scene", "--label"],
+        ),
+        ("train path", ["--data", "--validation", "--steps", "--ema", "--channels", "--device"]),
+        ("evaluate dial", ["--model", "--scenes", "--levels", "--samples", "--candidates"]),
+    ],
+)
+def test_help_of_a_verb(verb, flags, capsys):
+    assert main([*verb.split(), "--help"]) == 0
+    text = capsys.readouterr().out
+    for flag in flags:
+        assert flag in text
+
+
+def test_settings_explain_themselves_and_leave_out_what_the_data_fixes(capsys):
+    main(["train", "path", "--help"])
+    text = capsys.readouterr().out
+    assert "optimiser steps" in text
+    assert "--sigma" not in text
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[], ["nothing"], ["plan"], ["train"], ["train", "nothing"], ["plan", "s.yaml", "--nothing"],
+     ["evaluate", "dial", "--scenes", "many"]],
+)  # fmt: skip
+def test_wrong_usage_is_status_2(arguments, capsys):
+    assert main(arguments) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert "Traceback" not in output.err
+
+
+def test_import_is_fast_and_loads_no_torch():
+    code = (
+        "import time; s = time.perf_counter(); import legibility, sys;"
+        "print(time.perf_counter() - s, any(m in sys.modules for m in"
+        " ('torch', 'scipy', 'matplotlib', 'pyarrow', 'diffusers')))"
+    )
+    times = []
+    for _ in range(5):
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        seconds, heavy = found.stdout.split()
+        assert heavy == "False"
+        times.append(float(seconds))
+        if times[-1] < 0.3:
+            break
+    assert min(times) < 0.3
+
+
+def test_interrupt_says_what_resumes(monkeypatch, tmp_path, capsys):
+    import legibility.cli.data
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(legibility.cli.data, "generate", interrupted)
+    assert main(["data", "--out", str(tmp_path / "data")]) == 130
+    assert capsys.readouterr().err == "legibility: interrupted; the same command resumes\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_interrupt_from_the_keyboard(here):
+    words = "data --scenes 100000 --goals 2 --cells 6 --per-scene 3 --workers 2 --out d"
+    line = [sys.executable, "-m", "legibility", *words.split()]
+    process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + 30
+    while not list(Path().glob("d/*.parquet")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers as well
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert errors == "legibility: interrupted; the same command resumes\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+def test_reader_that_leaves_early_is_no_error(here):
+    Path("paths.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    line = [
+        sys.executable,
+        "-m",
+        "legibility",
+        "score",
+        "paths.csv",
+        "scene.yaml",
+        "--json",
+        "j.json",
+    ]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.wait(timeout=60) == 0
+    assert process.stderr is not None
+    assert process.stderr.read() == ""
+    process.stderr.close()
+    assert Path("j.json").exists()
+
+
+def test_output_that_knows_only_ascii(here):
+    Path("paths.csv").write_text("trajectory,x,y\nß,0,0.5\nß,0.8,0.6\n", encoding="utf-8")
+    found = command(
+        "score", "paths.csv", "scene.yaml", env={**os.environ, "PYTHONIOENCODING": "ascii"}
+    )
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "achieved_label" in found.stdout
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="/dev/full of Linux")
+def test_full_disk_behind_the_output(here):
+    Path("paths.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    line = [sys.executable, "-m", "legibility", "score", "paths.csv", "scene.yaml"]
+    with open("/dev/full", "w") as full:
+        found = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert found.returncode == 2
+    assert found.stderr.count("\n") == 1
+    assert found.stderr.startswith("legibility: error: ")

@@ -1,0 +1,101 @@
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from legibility.cli import output
+from legibility.errors import CheckpointError, OutputError
+
+
+def test_report_is_plain_and_repeats_the_command(tmp_path):
+    file = tmp_path / "a" / "r.json"
+    token = output.ARGUMENTS.set(["plan", "my scene.yaml"])
+    try:
+        output.write_report(
+            file,
+            seed=3,
+            config={"a": (1, 2), "b": Path("x")},
+            result={
+                "inf": math.inf,
+                "nan": np.float32("nan"),
+                2: np.arange(2),
+                "t": np.bool_(True),
+            },
+        )
+    finally:
+        output.ARGUMENTS.reset(token)
+    content = json.loads(file.read_text())
+    assert list(content) == ["legibility", "command", "seed", "config", "result"]
+    assert content["command"] == "legibility plan 'my scene.yaml'"
+    assert content["config"] == {"a": [1, 2], "b": "x"}
+    assert content["result"] == {"inf": None, "nan": None, "2": [0, 1], "t": True}
+
+
+def test_no_file_no_report():
+    output.write_report(None, seed=0, config={}, result={})
+
+
+@pytest.mark.parametrize("name", ["f.bmp", "f", ".png", "f.png.txt", "f.eps"])
+def test_figure_of_an_unknown_format(name, tmp_path):
+    with pytest.raises(OutputError, match=r"\.png, \.pdf, \.svg"):
+        output.check_figure(tmp_path / name)
+
+
+def test_outputs_that_can_be_written(tmp_path):
+    output.check_figure(tmp_path / "F.PNG")
+    output.check_file(tmp_path / "a" / "b" / "c.json", "JSON file")
+    output.check_file(Path(os.devnull), "JSON file")
+    output.check_file(None, "JSON file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_outputs_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OutputError, match="is not a folder"):
+        output.check_file(tmp_path / "file" / "a.json", "JSON file")
+    with pytest.raises(OutputError, match="is not a folder"):
+        output.check_folder(tmp_path / "dangling" / "a", "dataset")
+    with pytest.raises(OutputError, match="it is a folder"):
+        output.check_file(tmp_path, "JSON file")
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="/proc of Linux, read-only to root too")
+def test_folder_that_is_read_only():
+    with pytest.raises(OutputError, match="cannot write the dataset to /proc"):
+        output.check_folder(Path("/proc/legibility"), "dataset")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.5, "0.500"), (-0.00001, "-1e-05"), (0.0, "0.000"), (-1.5634, "-1.563"), (0.0123, "0.0123"),
+     (math.inf, "never"), (math.nan, "–")],
+)  # fmt: skip
+def test_significant(value, text):
+    assert output.significant(value) == text
+
+
+def test_number_has_no_minus_before_zero():
+    assert output.number(-0.0001) == "0.000"
+
+
+def test_model_without_weights():
+    with pytest.raises(CheckpointError):
+        output.model_record("no-such-model")
+
+
+def test_markup_is_text(capsys):
+    output.show("[bold]a[/bold] :smile: 1")
+    assert capsys.readouterr().out == "[bold]a[/bold] :smile: 1\n"
+
+
+def test_progress_is_silent_off_a_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(output, "_PATIENCE", -1)
+    with output.progress_bar("things") as progress:
+        progress(1, 2)
+        progress(2, 2, "a line")
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == ("", "a line\n")

@@ -1,0 +1,63 @@
+import hashlib
+import json
+from pathlib import Path
+
+import legibility as lg
+from legibility.cli.train import _line
+from legibility.dataset import Dataset
+
+
+def test_report_and_weights(run, dataset):
+    content = json.loads(run.with_suffix(".json").read_text())
+    weights = run / "weights"
+    assert content["command"].startswith("legibility train path --steps 20 ")
+    assert content["config"]["training"]["steps"] == 20
+    assert content["config"]["path"]["channels"] == [8, 16]
+    assert content["config"]["path"]["sigma"] == 0.15
+    assert content["model"] == {
+        "name": str(weights),
+        "sha256": hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest(),
+    }
+    assert content["result"]["data"] == Dataset.load(dataset).digest
+    assert content["result"]["last"]["step"] == 20
+    assert "validation_error" in content["result"]["last"]
+    model = lg.Modulator.from_pretrained(weights)
+    assert (
+        sum(p.numel() for p in model.path_diffuser.parameters()) == content["result"]["parameters"]
+    )
+
+
+def test_ended_run_is_repeated_at_once(run, dataset, cli, tiny, capsys):
+    before = (run / "weights" / "path.safetensors").read_bytes()
+    paths = ["--data", dataset, "--validation", dataset, "--out", run]
+    assert cli(f"train path --steps 20 {tiny}", *paths) == 0
+    assert (run / "weights" / "path.safetensors").read_bytes() == before
+    assert "weights: " in capsys.readouterr().out
+
+
+def test_other_settings_in_the_same_folder(run, dataset, tiny, refused):
+    paths = ["--data", dataset, "--validation", dataset, "--out", run]
+    assert "another run" in refused(f"train path --steps 30 {tiny}", *paths)
+
+
+def test_validation_is_made_if_none_is_given(
+    dataset, here, cli, tiny, one_thread, monkeypatch, capsys
+):
+    monkeypatch.setattr("legibility.cli.train._VALIDATION_SCENES", 2)
+    assert cli(f"train path --steps 1 {tiny} --out run --data", dataset) == 0
+    made, data = Dataset.load("run/validation").config, Dataset.load(dataset).config
+    assert (made.stream, made.scenes) == ("validation", 2)
+    assert (made.goals, made.sigma, made.cells) == (data.goals, data.sigma, data.cells)
+    assert "spearman" in capsys.readouterr().err
+    assert Path("run/log.jsonl").exists()
+
+
+def test_validation_data_are_not_validated_on_themselves(cli, refused, capsys):
+    assert cli("data --scenes 1 --goals 2 --per-scene 3 --cells 6 --stream validation --out v") == 0
+    capsys.readouterr()
+    assert "give --validation" in refused("train path --data v --out run")
+
+
+def test_line_of_a_validation():
+    assert _line(50, {"loss": 1.0}) == ""
+    assert _line(50, {"loss": 1.0, "validation_error": 0.5}) == "step 50  loss 1.0000  error 0.5000"

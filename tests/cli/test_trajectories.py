@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from legibility import Scene
+from legibility.cli.trajectories import read_trajectories, write_trajectories
+from legibility.errors import InvalidInputError
+
+PLANE = Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
+SOLID = Scene([-0.2, -0.2, 0.3], [[0, 0.1, 0.02], [0, -0.1, 0.02]])
+
+
+@pytest.mark.parametrize("scene", [PLANE, SOLID], ids=["2D", "3D"])
+def test_round_trip(scene, tmp_path):
+    rng = np.random.default_rng(0)
+    trajectories = rng.uniform(*scene.workspace, (3, 7, scene.dim))
+    write_trajectories(tmp_path / "t.csv", ["-1", "a, b", "-1"], trajectories)
+    found = read_trajectories(tmp_path / "t.csv", scene)
+    assert list(found) == ["-1", "a, b", "-1 (2)"]
+    np.testing.assert_array_equal(list(found.values()), trajectories)
+
+
+def test_anybodys_file(tmp_path):
+    """A byte-order mark, Windows line ends, capitals, blanks, empty lines, interleaved, quoted."""
+    file = tmp_path / "t.csv"
+    file.write_bytes(
+        '\ufeffTrajectory, Y ,X\r\n"b",.5,0\r\n\r\na,0.1,0.2\r\nb,6e-1,.8\r\na,0.3,0.4\r\n'.encode()
+    )
+    found = read_trajectories(file, PLANE)
+    assert {name: points.tolist() for name, points in found.items()} == {
+        "b": [[0, 0.5], [0.8, 0.6]],
+        "a": [[0.2, 0.1], [0.4, 0.3]],
+    }
+
+
+@pytest.mark.parametrize("name", ["t", "time"])
+def test_uneven_times_are_made_even(name, tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text(f"{name},x,y\n0,0,0\n1,0.1,1\n4,0.4,0\n")
+    np.testing.assert_allclose(
+        read_trajectories(file, PLANE)["1"], [[0, 0], [0.2, 2 / 3], [0.4, 0]], atol=1e-12
+    )
+
+
+def test_even_times_change_nothing(tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text("t,x,y\n0.1,0,0\n0.2,0.3,1\n0.30000000000000004,0.4,0\n")
+    found = read_trajectories(file, PLANE)["1"]
+    np.testing.assert_array_equal(found, [[0, 0], [0.3, 1], [0.4, 0]])
+
+
+BAD = {
+    "empty": ("", "is empty"),
+    "blank": ("\n\n", "is empty"),
+    "no points": ("x,y\n", "no points"),
+    "no header": ("0,0.5\n0.8,0.6\n", "line 1: unknown column '0'"),
+    "missing column": ("x\n0\n1\n", "line 1: the scene is 2D: columns x, y are needed, got x"),
+    "third dimension": ("x,y,z\n0,0,0\n1,1,0\n", "line 1: the scene is 2D"),
+    "unknown column": ("x,y,speed\n0,0,1\n1,1,1\n", "line 1: unknown column 'speed'"),
+    "semicolons": ("x;y\n0;0\n1;1\n", "line 1: unknown column 'x;y'"),
+    "column twice": ("x,y,x\n0,0,0\n1,1,1\n", "line 1: a column is there twice"),
+    "time twice": ("x,y,t,time\n0,0,0,0\n1,1,1,1\n", "line 1: a column is there twice"),
+    "text": ("x,y\n0,0\n1,one\n", "line 3: y must be a number, got 'one'"),
+    "gap": ("x,y\n0,0\n\n1,\n", "line 4: y must be a number, got ''"),
+    "NaN": ("x,y\n0,0\n1,nan\n", "line 3: y must be finite, got nan"),
+    "infinite": ("x,y\n-inf,0\n1,1\n", "line 2: x must be finite, got -inf"),
+    "short row": ("x,y\n0,0\n1\n", "line 3: 1 cells, the header has 2"),
+    "long row": ("x,y\n0,0\n1,1,1\n", "line 3: 3 cells, the header has 2"),
+    "one point": ("x,y\n0,0\n", "line 2: trajectory '1' must have at least 2 points"),
+    "one point of two": ("trajectory,x,y\na,0,0\na,1,1\nb,1,1\n", "line 4: trajectory 'b' must"),
+    "no name": ("trajectory,x,y\na,0,0\n,1,1\n", "line 3: the trajectory has no name"),
+    "outside": ("x,y\n0,0\n1,5\n", r"line 3: \[1.0, 5.0\] lies outside the workspace"),
+    "time stands": ("x,y,t\n0,0,0\n1,1,0\n", "line 3: t must rise, got 0"),
+    "time is text": ("x,y,t\n0,0,0\n1,1,now\n", "line 3: t must be a number"),
+    "open quote": ('x,y\n0,0\n1,"1\n', "line 3: unexpected end of data"),
+    "not text": (b"x,y\n\xff\xfe\x00\n", "not a text file"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD.values(), ids=BAD.keys())
+def test_bad_file(content, message, tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InvalidInputError, match=message):
+        read_trajectories(file, PLANE)
+
+
+def test_flat_file_for_a_solid_scene(tmp_path):
+    (tmp_path / "t.csv").write_text("x,y\n0,0\n0,0.1\n")
+    with pytest.raises(InvalidInputError, match="the scene is 3D: columns x, y, z are needed"):
+        read_trajectories(tmp_path / "t.csv", SOLID)
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(InvalidInputError, match="cannot read the trajectory file"):
+        read_trajectories(tmp_path / "t.csv", PLANE)

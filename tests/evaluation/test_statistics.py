@@ -1,0 +1,87 @@
+"""Intervals cover what they should, and correlations are scipy's."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from legibility.evaluation.statistics import bootstrap_interval, rank_correlation, summary
+
+whole = st.integers(-5, 5).map(float)  # few values, so that ties happen
+
+
+class TestInterval:
+    def test_agrees_with_the_t_interval_of_normal_values(self):
+        values = np.random.default_rng(0).normal(3, 2, 400)
+        low, high = bootstrap_interval(values)
+        expected = stats.t.interval(0.95, 399, values.mean(), stats.sem(values))
+        np.testing.assert_allclose([low, high], expected, atol=0.03)
+
+    @pytest.mark.parametrize("level", [0.5, 0.8, 0.95])
+    def test_covers_the_mean_as_often_as_it_says(self, level):
+        rng = np.random.default_rng(1)
+        covered = []
+        for _ in range(150):
+            low, high = bootstrap_interval(rng.exponential(size=40) - 1, level=level)
+            covered.append(low <= 0 <= high)
+        assert np.mean(covered) == pytest.approx(level, abs=0.10)
+
+    def test_shrinks_with_the_square_root_of_the_number(self):
+        values = np.random.default_rng(0).normal(size=1600)
+        widths = [np.diff(bootstrap_interval(values[:n]))[0] for n in (100, 1600)]
+        assert widths[0] / widths[1] == pytest.approx(4, rel=0.15)
+
+    @given(st.lists(whole, min_size=1, max_size=20), whole)
+    def test_brackets_the_mean_and_moves_with_the_values(self, values, shift):
+        values = np.array(values)
+        low, high = bootstrap_interval(values)
+        assert values.min() <= low <= values.mean() + 1e-9
+        assert values.mean() - 1e-9 <= high <= values.max()
+        np.testing.assert_allclose(
+            bootstrap_interval(values + shift), (low + shift, high + shift), atol=1e-9
+        )
+
+    def test_same_values_same_interval(self):
+        values = np.random.default_rng(0).normal(size=30)
+        assert bootstrap_interval(values) == bootstrap_interval(values.copy())
+
+    @pytest.mark.parametrize("values", [[0.3], [0.3, 0.3, 0.3]])
+    def test_without_spread_it_is_the_value(self, values):
+        assert bootstrap_interval(np.array(values)) == (0.3, 0.3)
+
+    def test_of_another_statistic(self):
+        values = np.random.default_rng(0).normal(5, 1, 200)
+        low, high = bootstrap_interval(values, np.median)
+        assert low < np.median(values) < high
+        assert high - low < 0.6
+
+
+class TestRankCorrelation:
+    @given(st.lists(st.tuples(whole, whole), min_size=2, max_size=30))
+    def test_is_spearmans(self, pairs):
+        asked, achieved = np.array(pairs).T
+        if np.ptp(asked) == 0 or np.ptp(achieved) == 0:
+            assert rank_correlation(asked, achieved) == 0
+        else:
+            expected = stats.spearmanr(asked, achieved).statistic
+            assert rank_correlation(asked, achieved) == pytest.approx(expected, abs=1e-12)
+
+    @given(st.lists(whole, min_size=2, max_size=30, unique=True))
+    def test_of_any_rising_or_falling_function(self, values):
+        values = np.array(values)
+        assert rank_correlation(values, np.exp(values)) == pytest.approx(1)
+        assert rank_correlation(values, -(values**3)) == pytest.approx(-1)
+
+    def test_of_constants(self):
+        assert rank_correlation(np.arange(5.0), np.ones(5)) == 0
+        assert rank_correlation(np.ones(5), np.ones(5)) == 0
+
+
+@given(st.lists(whole, min_size=1, max_size=20))
+def test_summary(values):
+    found = summary(np.array(values))
+    assert found["mean"] == pytest.approx(np.mean(values))
+    assert (found["min"], found["max"]) == (min(values), max(values))
+    assert found["interval"] == list(bootstrap_interval(np.array(values)))
+    assert all(type(found[name]) is float for name in ("mean", "min", "max"))

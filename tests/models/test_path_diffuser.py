@@ -1,0 +1,345 @@
+"""Stage 1: its latent, its conditions and its sampler."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from legibility import InformationPotentialField, Scene
+from legibility.dataset import NUM_WAYPOINTS
+from legibility.errors import CheckpointError
+from legibility.models.frame import DEPTH, Frame, vector_size
+from legibility.models.path_diffuser import (
+    PathDiffuser,
+    PathDiffuserConfig,
+    noise_schedule,
+    sampling_timesteps,
+)
+
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
+
+
+def make(dim=2, seed=0, loud=True, **changes):
+    """A tiny diffuser; a loud one has an outlet that is not zero, so that conditions show."""
+    torch.manual_seed(seed)
+    model = PathDiffuser(PathDiffuserConfig(**{"dim": dim, **TINY, **changes}))
+    if loud:
+        torch.nn.init.normal_(model.unet.outlet.weight, std=0.3)
+        torch.nn.init.normal_(model.no_field)
+        torch.nn.init.normal_(model.no_level)
+        model.spread.uniform_(0.5, 2)
+    model.signal.copy_(noise_schedule(model.config.diffusion_steps))
+    return model.eval()
+
+
+def scenes(dim, num=3):
+    return [Scene.random(np.random.default_rng(seed), dim=dim) for seed in range(num)]
+
+
+def noise(size, dim, seed=0):
+    return torch.randn(size, NUM_WAYPOINTS, dim, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.fixture(params=[2, 3])
+def dim(request):
+    return request.param
+
+
+class TestConfig:
+    @pytest.mark.parametrize(
+        "config",
+        [PathDiffuserConfig(), PathDiffuserConfig(dim=3, label="rank", guidance=0.5, **TINY)],
+        ids=str,
+    )
+    def test_round_trip(self, config):
+        assert PathDiffuserConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+    @pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(PathDiffuserConfig)])
+    def test_every_key_must_be_there(self, name):
+        content = PathDiffuserConfig().to_dict()
+        del content[name]
+        with pytest.raises(CheckpointError, match=name):
+            PathDiffuserConfig.from_dict(content)
+
+    def test_no_other_key(self):
+        with pytest.raises(CheckpointError, match="speed"):
+            PathDiffuserConfig.from_dict({**PathDiffuserConfig().to_dict(), "speed": 1})
+
+
+class TestLatent:
+    def test_is_inverted(self, dim):
+        model = make(dim)
+        waypoints = 2 * torch.randn(50, NUM_WAYPOINTS, dim) + 0.5
+        torch.testing.assert_close(
+            model.from_latent(model.to_latent(waypoints)), waypoints, atol=1e-4, rtol=1e-4
+        )
+
+    def test_straight_line_is_zero(self, dim):
+        model = make(dim)
+        straight = torch.zeros(1, NUM_WAYPOINTS, dim)
+        straight[..., 0] = torch.linspace(0, 1, NUM_WAYPOINTS + 2)[1:-1]
+        torch.testing.assert_close(model.to_latent(straight), torch.zeros_like(straight))
+        torch.testing.assert_close(model.from_latent(torch.zeros_like(straight)), straight)
+
+    def test_no_latent_is_too_large(self, dim):
+        wild = torch.full((1, NUM_WAYPOINTS, dim), 1e30)
+        assert torch.isfinite(make(dim).from_latent(wild)).all()
+
+    def test_spread_is_the_unit(self):
+        """A larger spread makes the same path a smaller latent."""
+        model = make(loud=False)
+        waypoints = torch.rand(4, NUM_WAYPOINTS, 2)
+        before = model.to_latent(waypoints)
+        model.spread.fill_(2)
+        torch.testing.assert_close(model.to_latent(waypoints), before / 2)
+
+
+class TestConditions:
+    def test_shapes(self, dim):
+        found = make(dim).conditions(scenes(dim), [0, 1, 0])
+        slices = 1 if dim == 2 else DEPTH
+        most = max(scene.num_goals for scene in scenes(dim)) - 1
+        assert found.image.shape == (3, 3 * slices, 16, 16)
+        assert found.vector.shape == (3, vector_size(dim))
+        assert found.slopes.shape == (3, most, dim)
+        assert found.intercepts.shape == (3, most)
+        assert found.map(lambda x: x[1:]).image.equal(found.image[1:])
+
+    def test_are_those_of_each_scene(self, dim):
+        model = make(dim)
+        together = model.conditions(scenes(dim), [0, 1, 0])
+        alone = model.conditions(scenes(dim)[1:2], [1])
+        assert torch.equal(together.image[1], alone.image[0])
+        assert torch.equal(together.vector[1], alone.vector[0])
+
+    def points(self, dim):
+        """In the frame, about what a path may visit: `(3, 40, D)`."""
+        return torch.rand(3, 40, dim, generator=torch.Generator().manual_seed(1)) * 3 - 1
+
+    def test_potential_is_the_fields(self, dim):
+        targets = [0, 1, 0]
+        model, points = make(dim, sigma=0.15 if dim == 2 else 0.08), self.points(dim)
+        found, _ = model.conditions(scenes(dim), targets).potential(points)
+        for scene, target, inside, values in zip(scenes(dim), targets, points, found, strict=True):
+            field = InformationPotentialField(scene.goals, model.config.sigma)
+            world = Frame.of(scene, target).frame_to_world(inside.double().numpy())
+            np.testing.assert_allclose(values, field.potential(world, target), rtol=1e-3, atol=2e-4)
+
+    def test_gradient_is_the_potentials(self, dim):
+        conditions = make(dim).conditions(scenes(dim), [0, 1, 0])
+        points = self.points(dim).requires_grad_()
+        potential, gradient = conditions.potential(points)
+        (expected,) = torch.autograd.grad(potential.sum(), points)
+        torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-4)
+
+    def test_wall_distance_is_the_scenes(self, dim):
+        targets, points = [0, 1, 0], self.points(dim)
+        found = make(dim).conditions(scenes(dim), targets).wall_distance(points)
+        for scene, target, inside, values in zip(scenes(dim), targets, points, found, strict=True):
+            frame = Frame.of(scene, target)
+            world = frame.frame_to_world(inside.double().numpy())
+            low, high = scene.workspace
+            expected = np.minimum(world - low, high - world).min(-1) / frame.scale
+            np.testing.assert_allclose(values, expected, atol=1e-4)
+            assert ((values.numpy() > 1e-4) <= scene.contains(world)).all()
+
+    def test_a_scene_with_fewer_goals_is_filled_up_with_goals_that_do_not_count(self, dim):
+        few, many = (
+            Scene.random(np.random.default_rng(0), dim=dim, num_goals=num) for num in (2, 6)
+        )
+        model, points = make(dim), self.points(dim)[:1]
+        alone = model.conditions([few], [0]).potential(points)
+        beside = model.conditions([few, many], [0, 0]).map(lambda x: x[:1]).potential(points)
+        for one, other in zip(alone, beside, strict=True):
+            torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5)
+
+    def test_a_number_of_targets_that_is_not_that_of_the_scenes(self):
+        with pytest.raises(ValueError, match="zip"):
+            make().conditions(scenes(2), [0])
+
+    def test_dropped_field_is_ignored(self):
+        model = make()
+        conditions = model.conditions(scenes(2), [0, 0, 0])
+        other = dataclasses.replace(conditions, image=conditions.image + 1)
+        for keep, same in (([False] * 3, [True] * 3), ([True, False, True], [False, True, False])):
+            keep = torch.tensor(keep)
+            one, two = model.encode_scene(conditions, keep), model.encode_scene(other, keep)
+            assert [torch.equal(a, b) for a, b in zip(one, two, strict=True)] == same
+
+    def test_dropped_level_is_ignored(self):
+        model = make()
+        scene = model.encode_scene(model.conditions(scenes(2), [0, 0, 0]))
+        keep = torch.tensor([False, True, False])
+        one = model.encode(scene, torch.tensor([-1.0, -1, 0]), keep)
+        two = model.encode(scene, torch.tensor([1.0, 1, 0.5]), keep)
+        assert [torch.equal(a, b) for a, b in zip(one, two, strict=True)] == [True, False, True]
+
+    def test_dropped_field_is_not_read_along_the_path(self):
+        model = make()
+        conditions = model.conditions(scenes(2), [0, 0, 0])
+        other = dataclasses.replace(conditions, slopes=-conditions.slopes)
+        context, times = torch.randn(3, 16), torch.tensor([10, 50, 90])
+        keep = torch.tensor([False, True, False])
+        one = model(noise(3, 2), times, context, conditions, keep)
+        two = model(noise(3, 2), times, context, other, keep)
+        assert [torch.equal(a, b) for a, b in zip(one, two, strict=True)] == [True, False, True]
+
+    def test_kept_is_the_default(self):
+        model = make()
+        conditions = model.conditions(scenes(2), [0, 0, 0])
+        scene = model.encode_scene(conditions)
+        assert torch.equal(scene, model.encode_scene(conditions, torch.ones(3, dtype=torch.bool)))
+        level = torch.tensor([-1.0, 0, 1])
+        kept = model.encode(scene, level, torch.ones(3, dtype=torch.bool))
+        assert torch.equal(model.encode(scene, level), kept)
+
+
+class TestSample:
+    def sample(self, model, level=(-1.0, 0.0, 1.0), seed=0, **options):
+        dim = model.config.dim
+        conditions = model.conditions(scenes(dim), [0, 0, 0])
+        return model.sample(conditions, torch.tensor(level), noise(3, dim, seed), **options)
+
+    @pytest.mark.parametrize("channels", [(8,), (8, 16), (8, 16, 16)])
+    def test_shape_and_finite(self, dim, channels):
+        found = self.sample(make(dim, channels=channels))
+        assert found.shape == (3, NUM_WAYPOINTS, dim)
+        assert torch.isfinite(found).all()
+        assert not found.requires_grad
+
+    def test_is_fixed_by_the_noise(self, dim):
+        model = make(dim)
+        assert torch.equal(self.sample(model), self.sample(model))
+        assert not torch.allclose(self.sample(model), self.sample(model, seed=1))
+
+    def test_level_and_scene_are_seen(self, dim):
+        model = make(dim)
+        assert not torch.allclose(self.sample(model), self.sample(model, level=(1.0, 1.0, -1.0)))
+        assert not torch.allclose(*self.sample(model, level=(0.0, 0.0, 0.0))[:2])
+
+    def test_rows_do_not_meet(self, dim):
+        model = make(dim)
+        conditions = model.conditions(scenes(dim), [0, 0, 0]).map(lambda x: x[1:2])
+        alone = model.sample(conditions, torch.tensor([0.0]), noise(3, dim)[1:2])
+        torch.testing.assert_close(alone, self.sample(model)[1:2], atol=1e-5, rtol=1e-5)
+
+    @pytest.mark.parametrize("guidance", [0.0, 0.5])
+    def test_one_scene_for_all_levels(self, dim, guidance):
+        model, level = make(dim), torch.tensor([-1.0, 0, 1])
+        once = model.conditions(scenes(dim)[:1], [0])
+        thrice = model.conditions(scenes(dim)[:1] * 3, [0] * 3)
+        torch.testing.assert_close(
+            model.sample(once, level, noise(3, dim), guidance=guidance),
+            model.sample(thrice, level, noise(3, dim), guidance=guidance),
+            atol=1e-5,
+            rtol=1e-5,
+        )
+
+    def test_guidance_moves_away_from_the_unconditional_path(self):
+        model = make()
+        plain = self.sample(model)
+        assert torch.equal(plain, self.sample(model, guidance=0))
+        # ε̂ = (1 + w) ε(c) − w ε(∅): with w = −1 only the unconditional one is left.
+        free = self.sample(model, guidance=-1.0)
+        for level in ((1.0, 0.3, -1.0), (0.0, 0.0, 0.0)):
+            other = self.sample(model, level=level, guidance=-1.0)
+            torch.testing.assert_close(free, other, atol=1e-4, rtol=1e-4)
+        assert not torch.allclose(plain, free, atol=1e-3)
+        assert not torch.allclose(plain, self.sample(model, guidance=1.0), atol=1e-3)
+
+    def test_guidance_of_the_configuration_is_the_default(self):
+        model, guided = make(), make(guidance=0.7)
+        assert torch.equal(self.sample(guided), self.sample(model, guidance=0.7))
+        assert torch.equal(self.sample(guided, guidance=0.0), self.sample(model))
+
+    @pytest.mark.parametrize("steps", [1, 2, 3, 7, 20, 33, 100])
+    def test_any_number_of_steps(self, steps):
+        found = self.sample(make(), steps=steps)
+        assert torch.isfinite(found).all()
+        assert torch.equal(found, self.sample(make(sampling_steps=steps)))
+
+    def test_a_denoiser_that_knows_the_answer_is_followed(self):
+        """With the true velocity of one latent, every number of steps ends at that latent."""
+        model = make()
+        wanted = torch.randn(3, NUM_WAYPOINTS, 2, generator=torch.Generator().manual_seed(5))
+        alphas = noise_schedule(100)
+
+        def velocity(latent, times, context, conditions, keep):
+            alpha = alphas[times][:, None, None]
+            rest = (latent - alpha.sqrt() * wanted) / (1 - alpha).sqrt()
+            return alpha.sqrt() * rest - (1 - alpha).sqrt() * wanted
+
+        model.forward = velocity
+        for steps in (1, 2, 4, 10):
+            torch.testing.assert_close(
+                self.sample(model, steps=steps), model.from_latent(wanted), atol=1e-3, rtol=1e-3
+            )
+
+
+class TestSchedule:
+    def test_last_step_is_noise_alone(self):
+        signal = noise_schedule(100)
+        assert signal.shape == (100,)
+        assert signal[-1] == pytest.approx(0, abs=1e-6)
+        assert signal[0] > 0.99
+        assert (signal.diff() < 0).all()
+
+    @pytest.mark.parametrize("diffusion_steps", [1, 7, 100])
+    def test_every_number_of_steps_begins_at_the_last_and_is_as_many(self, diffusion_steps):
+        for steps in range(1, diffusion_steps + 1):
+            times = sampling_timesteps(diffusion_steps, steps)
+            assert len(times) == steps
+            assert times[0] == diffusion_steps - 1
+            assert min(times) >= 0
+            assert times == sorted(set(times), reverse=True)
+
+    def test_is_that_of_diffusers(self):
+        schedulers = pytest.importorskip("diffusers.schedulers.scheduling_ddim")
+        scheduler = schedulers.DDIMScheduler(
+            num_train_timesteps=100,
+            beta_schedule="squaredcos_cap_v2",
+            rescale_betas_zero_snr=True,
+            prediction_type="v_prediction",
+            timestep_spacing="trailing",
+            clip_sample=False,
+        )
+        model = make(dim=2)
+        conditions, level = model.conditions(scenes(2)[:1], [0]), torch.tensor([0.5])
+        context = model.encode(model.encode_scene(conditions), level)
+        for steps in (1, 2, 4, 10):
+            scheduler.set_timesteps(steps)
+            assert scheduler.timesteps.tolist() == sampling_timesteps(100, steps)
+            latent = noise(1, 2)
+            with torch.no_grad():
+                for time in scheduler.timesteps:
+                    velocity = model(latent, time.expand(1), context, conditions)
+                    latent = scheduler.step(velocity, int(time), latent).prev_sample
+                expected = model.from_latent(latent)
+            found = model.sample(conditions, level, noise(1, 2), steps=steps)
+            torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_level_is_learned_within_a_few_steps():
+    model = make(loud=False)
+    model.train()
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
+    conditions = model.conditions(scenes(2), [0, 0, 0])
+    level = torch.tensor([-1.0, 0, 1])
+    wanted = level[:, None, None].expand(3, NUM_WAYPOINTS, 2)
+    losses = []
+    for _ in range(30):
+        context = model.encode(model.encode_scene(conditions), level)
+        velocity = model(noise(3, 2), torch.full((3,), 99), context, conditions)
+        loss = (velocity - wanted).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.1 * losses[0]
+    model.eval()
+    low, high = (
+        model.sample(conditions, torch.full((3,), value), noise(3, 2)) for value in (-1.0, 1.0)
+    )
+    assert (low - high).abs().mean() > 0.01

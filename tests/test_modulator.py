@@ -1,0 +1,458 @@
+"""Whatever the weights: paths run from the start to the goal inside the workspace."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import legibility as lg
+from legibility.curves import path_curve
+from legibility.errors import CheckpointError, InvalidInputError, InvalidSceneError, OutputError
+from legibility.intent.metrics import SCORE_POINTS
+from legibility.models.checkpoint import load_tensors, save_tensors
+from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig, noise_schedule
+from legibility.modulator import Modulator, Path, pretrained_names
+from legibility.scene import DEFAULT_SIGMA
+
+torch.set_num_threads(1)
+
+SCENES = {
+    2: lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]),
+    3: lg.Scene([-0.2, -0.2, 0.3], [[0, 0.1, 0.02], [0.05, -0.1, 0.06], [-0.1, 0.2, 0.02]]),
+}
+LEVELS = [-1.0, -0.3, 0.0, 0.5, 1.0]
+
+
+def make(dim=2, seed=0, noise=0.3, **changes):
+    """A tiny untrained modulator; `noise` is the size of its outlet's weights."""
+    torch.manual_seed(seed)
+    shape = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
+    model = PathDiffuser(
+        PathDiffuserConfig(**{"dim": dim, "sigma": DEFAULT_SIGMA[dim], **shape, **changes})
+    )
+    torch.nn.init.normal_(model.unet.outlet.weight, std=noise)
+    torch.nn.init.normal_(model.no_level)
+    model.spread.fill_(0.5)
+    model.signal.copy_(noise_schedule(model.config.diffusion_steps))
+    return Modulator(model, name="tiny")
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def modulator(request):
+    return make(request.param)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return make()
+
+
+@pytest.fixture
+def scene(modulator):
+    return SCENES[modulator.config.dim]
+
+
+class TestPath:
+    @pytest.mark.parametrize("level", [0.5, -1, np.float32(0.25), np.array(1.0)])
+    def test_shapes_of_a_number(self, modulator, scene, level):
+        path = modulator.plan(scene, 0, level)
+        assert isinstance(path, Path)
+        assert path.waypoints.shape == (10, scene.dim)
+        assert path.trajectory().shape == (SCORE_POINTS, scene.dim)
+        assert path.trajectory(7).shape == (7, scene.dim)
+        for value in (path.legibility, path.score, path.clipped, path.achieved):
+            assert np.shape(value) == ()
+        assert path.legibility == level
+
+    @pytest.mark.parametrize("levels", [LEVELS, [0.5], np.linspace(-1, 1, 4), (0, 1)])
+    @pytest.mark.parametrize("num_candidates", [1, 2])
+    def test_shapes_of_a_batch(self, modulator, scene, levels, num_candidates):
+        path = modulator.plan(scene, 0, levels, num_candidates=num_candidates)
+        size = len(levels)
+        assert path.waypoints.shape == (size, 10, scene.dim)
+        assert path.trajectory(9).shape == (size, 9, scene.dim)
+        for value in (path.legibility, path.score, path.clipped, path.achieved):
+            assert np.shape(value) == (size,)
+        np.testing.assert_array_equal(path.legibility, levels)
+
+    @pytest.mark.parametrize("target", [0, 1])
+    def test_start_and_goal_are_met_exactly(self, modulator, scene, target):
+        path = modulator.plan(scene, target, LEVELS)
+        ends = np.tile([scene.start, scene.goals[target]], (len(LEVELS), 1, 1))
+        np.testing.assert_array_equal(path.waypoints[:, [0, -1]], ends)
+        np.testing.assert_allclose(path.trajectory()[:, [0, -1]], ends, rtol=0, atol=1e-15)
+        assert path.target == target
+
+    @pytest.mark.parametrize("num_points", [2, 3, 48, 200])
+    def test_everything_stays_in_the_workspace(self, modulator, scene, num_points):
+        for seed in range(5):
+            path = modulator.plan(scene, 0, LEVELS, seed=seed)
+            assert scene.contains(path.waypoints, tolerance=0).all()
+            assert scene.contains(path.trajectory(num_points), tolerance=0).all()
+
+    def test_curve_passes_its_waypoints(self, modulator, scene):
+        path = modulator.plan(scene, 0, LEVELS)
+        np.testing.assert_allclose(path.trajectory(91)[:, ::10], path.waypoints, atol=1e-12)
+
+    def test_score_and_achieved_are_those_of_the_trajectory(self, modulator, scene):
+        path = modulator.plan(scene, 1, LEVELS)
+        sigma, alpha = modulator.config.sigma, modulator.config.alpha
+        field = lg.InformationPotentialField(scene.goals, sigma)
+        score = lg.metrics.legibility_score(path.trajectory(), field, 1, alpha)
+        np.testing.assert_array_equal(path.score, score)
+        archive = lg.build_archive(scene, 1, sigma=sigma, alpha=alpha)
+        np.testing.assert_array_equal(path.achieved, archive.label_of(score))
+        assert (np.abs(path.achieved) <= 1).all()
+
+    def test_settings_of_the_model_are_the_observer(self):
+        model = make(sigma=0.3, alpha=1.0, label="rank")
+        path = model.plan(SCENES[2], 0, LEVELS)
+        archive = lg.build_archive(SCENES[2], 0, sigma=0.3, alpha=1.0, label="rank")
+        np.testing.assert_array_equal(path.achieved, archive.label_of(path.score))
+        assert model.archive(SCENES[2]).label == "rank"
+
+    def test_clipped_says_whether_the_network_left_the_workspace(self, monkeypatch):
+        model, scene = make(), SCENES[2]
+        wild = np.tile(np.linspace(scene.start, scene.goals[0], 10), (2, 1, 1))
+        wild[1, 4] = [0.4, 3.0]
+        monkeypatch.setattr(model, "_draw", lambda *_: wild)
+        path = model.plan(scene, 0, [0.0, 0.0])
+        assert path.clipped.tolist() == [False, True]
+        np.testing.assert_array_equal(path.waypoints[0], wild[0])
+        assert path.waypoints[1, 4].tolist() == [0.4, 1.1]
+
+    def test_scene_in_a_corner(self):
+        """Start and goal on the walls, and nothing to spare."""
+        low, high = np.array([[0.1, 0.1], [0.3, 0.7]])
+        scene = lg.Scene(low, [high, [0.1, 0.7]], [low, high])
+        path = make().plan(scene, 0, LEVELS)
+        assert scene.contains(path.trajectory(), tolerance=0).all()
+        np.testing.assert_array_equal(path.waypoints[:, -1] - high, 0)
+
+
+class TestReproducible:
+    def test_same_seed_same_path(self, modulator, scene):
+        one, other = (modulator.plan(scene, 0, LEVELS, seed=3).waypoints for _ in range(2))
+        np.testing.assert_array_equal(one, other)
+
+    def test_other_seed_other_path(self, modulator, scene):
+        one, other = (modulator.plan(scene, 0, 0.5, seed=seed).waypoints for seed in (0, 1))
+        assert np.abs(one - other).max() > 1e-3
+
+    def test_paths_of_a_batch_differ(self, modulator, scene):
+        one, other = modulator.plan(scene, 0, [0.5, 0.5]).waypoints
+        assert np.abs(one - other).max() > 1e-3
+
+    def test_state_of_torch_does_not_matter(self, modulator, scene):
+        torch.manual_seed(1)
+        one = modulator.plan(scene, 0, 0.5).waypoints
+        state = torch.get_rng_state()
+        other = modulator.plan(scene, 0, 0.5).waypoints
+        np.testing.assert_array_equal(one, other)
+        assert torch.equal(torch.get_rng_state(), state)
+
+    def test_a_number_is_a_batch_of_one(self, modulator, scene):
+        for num_candidates in (1, 3):
+            options = {"seed": 2, "num_candidates": num_candidates}
+            one = modulator.plan(scene, 0, 0.5, **options)
+            batch = modulator.plan(scene, 0, [0.5], **options)
+            np.testing.assert_array_equal(one.waypoints, batch.waypoints[0])
+            assert one.score == batch.score[0]
+            assert one.clipped == batch.clipped[0]
+
+    def test_any_seed(self, flat):
+        for seed in (0, np.int64(5), 2**31, 2**63 - 1):
+            assert np.isfinite(flat.plan(SCENES[2], 0, 0.5, seed=seed).waypoints).all()
+
+    def test_order_of_the_other_goals_does_not_matter(self):
+        scene = SCENES[3]
+        turned = lg.Scene(scene.start, scene.goals[[0, 2, 1]])
+        model = make(3)
+        np.testing.assert_allclose(
+            model.plan(scene, 0, LEVELS).waypoints,
+            model.plan(turned, 0, LEVELS).waypoints,
+            atol=1e-5,
+        )
+
+    def test_target_is_a_place_not_an_index(self, flat):
+        scene = SCENES[2]
+        turned = lg.Scene(scene.start, scene.goals[::-1])
+        np.testing.assert_allclose(
+            flat.plan(scene, 1, LEVELS).waypoints,
+            flat.plan(turned, 0, LEVELS).waypoints,
+            atol=1e-6,
+        )
+
+    def test_moved_and_scaled_scene_has_the_moved_and_scaled_path(self):
+        scene = SCENES[2]
+        large = lg.Scene(scene.start * 3 + 1, scene.goals * 3 + 1, scene.workspace * 3 + 1)
+        one, other = make(), make(sigma=0.45)
+        np.testing.assert_allclose(
+            other.plan(large, 0, LEVELS).waypoints,
+            one.plan(scene, 0, LEVELS).waypoints * 3 + 1,
+            atol=1e-4,
+        )
+
+
+class TestCandidates:
+    def test_the_nearest_of_those_drawn_is_returned(self, modulator, scene):
+        num = 6
+        single = modulator.plan(scene, 0, np.repeat(LEVELS, num), seed=4)
+        best = modulator.plan(scene, 0, LEVELS, seed=4, num_candidates=num)
+        errors = np.abs(single.achieved - single.legibility).reshape(len(LEVELS), num)
+        np.testing.assert_allclose(np.abs(best.achieved - LEVELS), errors.min(1), atol=1e-12)
+        assert (errors.min(1) < errors.mean(1)).all()
+        rows = np.arange(len(LEVELS)) * num + errors.argmin(1)
+        np.testing.assert_array_equal(best.waypoints, single.waypoints[rows])
+        np.testing.assert_array_equal(best.clipped, single.clipped[rows])
+
+    def test_one_candidate_is_the_plain_plan(self, modulator, scene):
+        np.testing.assert_array_equal(
+            modulator.plan(scene, 0, LEVELS, num_candidates=1).waypoints,
+            modulator.plan(scene, 0, LEVELS).waypoints,
+        )
+
+    def test_archive_is_built_once_and_only_if_needed(self, monkeypatch):
+        built = []
+
+        def build(scene, target=0, **options):
+            built.append((scene, target))
+            return lg.build_archive(scene, target, **options, max_candidates=4096)
+
+        monkeypatch.setattr("legibility.modulator.build_archive", build)
+        model = make()
+        model.plan(SCENES[2], 0, LEVELS)
+        assert built == []
+        paths = [model.plan(SCENES[2], 0, LEVELS, num_candidates=2) for _ in range(2)]
+        assert len(built) == 1
+        assert paths[0].archive is paths[1].archive is model.archive(SCENES[2], 0)
+        assert np.isfinite(paths[0].achieved).all()
+        model.plan(SCENES[2], 1, LEVELS, num_candidates=2)
+        assert [target for _, target in built] == [0, 1]
+
+    def test_only_the_last_archives_are_kept(self, monkeypatch):
+        monkeypatch.setattr("legibility.modulator.build_archive", lambda *_, **__: object())
+        model = make()
+        for seed in range(40):
+            model.archive(lg.Scene.random(np.random.default_rng(seed)))
+        assert len(model._archives) == 16
+
+
+class TestOptions:
+    def test_guidance(self, modulator, scene):
+        plain = modulator.plan(scene, 0, LEVELS).waypoints
+        np.testing.assert_array_equal(modulator.plan(scene, 0, LEVELS, guidance=0).waypoints, plain)
+        guided = modulator.plan(scene, 0, LEVELS, guidance=1.5)
+        assert np.abs(guided.waypoints - plain).max() > 1e-3
+        assert scene.contains(guided.trajectory(), tolerance=0).all()
+
+    @pytest.mark.parametrize("guidance", [-1, 0.3, 10, 1e3])
+    def test_any_guidance_stays_inside(self, flat, guidance):
+        path = flat.plan(SCENES[2], 0, LEVELS, guidance=guidance)
+        assert SCENES[2].contains(path.trajectory()).all()
+
+    @pytest.mark.parametrize("steps", [1, 2, 3, 10, 100])
+    def test_steps(self, modulator, scene, steps):
+        path = modulator.plan(scene, 0, LEVELS, steps=steps)
+        assert np.isfinite(path.waypoints).all()
+        plain = modulator.plan(scene, 0, LEVELS).waypoints
+        same = steps == modulator.config.sampling_steps
+        assert np.allclose(path.waypoints, plain) == same
+
+    @pytest.mark.parametrize(
+        "wrong",
+        [
+            {"legibility": 1.01},
+            {"legibility": -2},
+            {"legibility": np.nan},
+            {"legibility": [0, np.inf]},
+            {"legibility": []},
+            {"legibility": [[0.5]]},
+            {"legibility": "high"},
+            {"legibility": None},
+            {"target": 2},
+            {"target": -1},
+            {"target": 0.0},
+            {"target": True},
+            {"target": "red"},
+            {"seed": -1},
+            {"seed": 1.5},
+            {"seed": None},
+            {"seed": 2**64},
+            {"seed": 2**100},
+            {"num_candidates": 0},
+            {"num_candidates": -3},
+            {"num_candidates": 2.0},
+            {"guidance": np.nan},
+            {"guidance": "strong"},
+            {"guidance": [1.0]},
+            {"steps": 0},
+            {"steps": 101},
+            {"steps": 2.5},
+        ],
+        ids=str,
+    )
+    def test_bad_input(self, flat, wrong):
+        with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+            flat.plan(**{"scene": SCENES[2], **wrong})
+
+    @pytest.mark.parametrize("wrong", [None, "scene.yaml", SCENES[2].to_dict(), 3])
+    def test_something_that_is_no_scene(self, flat, wrong):
+        with pytest.raises(InvalidSceneError, match=r"scene must be a legibility\.Scene"):
+            flat.plan(wrong)
+
+    def test_scene_of_another_dimension(self, modulator):
+        other = SCENES[5 - modulator.config.dim]
+        with pytest.raises(InvalidSceneError, match=r"the model tiny plans in .D, the scene is .D"):
+            modulator.plan(other)
+
+    @pytest.mark.parametrize("num_points", [0, 1, 2.5, "many"])
+    def test_number_of_points(self, flat, num_points):
+        with pytest.raises(InvalidInputError, match="num_points"):
+            flat.plan(SCENES[2]).trajectory(num_points)
+
+
+class TestPretrained:
+    @pytest.fixture
+    def folder(self, flat, tmp_path):
+        flat.save_pretrained(tmp_path / "weights")
+        return tmp_path / "weights"
+
+    def test_round_trip_plans_the_same(self, modulator, scene, tmp_path):
+        modulator.save_pretrained(tmp_path / "a" / "mine")
+        again = Modulator.from_pretrained(tmp_path / "a" / "mine")
+        assert again.config == modulator.config
+        assert again.name == "mine"
+        for options in ({}, {"guidance": 1.0, "steps": 3}):
+            np.testing.assert_array_equal(
+                again.plan(scene, 1, LEVELS, **options).waypoints,
+                modulator.plan(scene, 1, LEVELS, **options).waypoints,
+            )
+
+    def test_text_is_a_folder_too(self, folder, monkeypatch):
+        monkeypatch.chdir(folder.parent)
+        assert Modulator.from_pretrained("weights").name == "weights"
+        monkeypatch.chdir(folder)
+        assert Modulator.from_pretrained(".").name == "weights"
+
+    def test_only_two_files(self, folder):
+        assert sorted(p.name for p in folder.iterdir()) == ["config.json", "path.safetensors"]
+
+    def test_a_folder_that_cannot_be_written(self, flat, tmp_path):
+        (tmp_path / "file").write_text("in the way")
+        with pytest.raises(OutputError, match="cannot write"):
+            flat.save_pretrained(tmp_path / "file" / "weights")
+
+    @pytest.mark.parametrize("name", ["no-such-model", "", "..", "../weights", "a/b", "a\0b"])
+    def test_no_such_weights(self, tmp_path, monkeypatch, name):
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(CheckpointError):
+            Modulator.from_pretrained(name)
+
+    def test_names(self):
+        for name in pretrained_names():
+            assert Modulator.from_pretrained(name).name == name
+
+    @pytest.mark.parametrize("file", ["config.json", "path.safetensors"])
+    def test_missing_file(self, folder, file):
+        (folder / file).unlink()
+        with pytest.raises(CheckpointError, match=file):
+            Modulator.from_pretrained(folder)
+
+    @pytest.mark.parametrize("share", [0, 0.3, 0.9])
+    @pytest.mark.parametrize("file", ["config.json", "path.safetensors"])
+    def test_truncated_file(self, folder, file, share):
+        content = (folder / file).read_bytes()
+        (folder / file).write_bytes(content[: int(share * len(content))])
+        with pytest.raises(CheckpointError):
+            Modulator.from_pretrained(folder)
+
+    def test_weights_of_another_shape(self, folder):
+        make(condition=24).save_pretrained(folder.parent / "other")
+        (folder.parent / "other" / "path.safetensors").replace(folder / "path.safetensors")
+        with pytest.raises(CheckpointError, match="shape"):
+            Modulator.from_pretrained(folder)
+
+    def test_weights_that_are_not_finite(self, folder):
+        tensors, _ = load_tensors(folder / "path.safetensors")
+        tensors["place.bias"][0] = torch.inf
+        save_tensors(folder / "path.safetensors", tensors)
+        with pytest.raises(CheckpointError, match=r"place\.bias is not finite"):
+            Modulator.from_pretrained(folder)
+
+    @pytest.mark.parametrize("text", ["[]", "null", "3", '"text"', "{}", '{"format": 1}', "\xff"])
+    def test_other_configuration(self, folder, text):
+        (folder / "config.json").write_text(text, encoding="latin-1")
+        with pytest.raises(CheckpointError):
+            Modulator.from_pretrained(folder)
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"dim": 4},
+            {"dim": "2"},
+            {"sigma": 0},
+            {"sigma": -0.1},
+            {"sigma": float("nan")},
+            {"sigma": None},
+            {"alpha": -1},
+            {"alpha": float("inf")},
+            {"label": "linear"},
+            {"label": None},
+            {"channels": []},
+            {"channels": None},
+            {"channels": [7, 16]},
+            {"channels": [8, 8, 8, 8, 8, 8]},
+            {"condition": 0},
+            {"condition": -1},
+            {"encoder_width": 0},
+            {"resolution": 12},
+            {"squash": 0},
+            {"squash": float("nan")},
+            {"diffusion_steps": 0},
+            {"diffusion_steps": 1e3},
+            {"sampling_steps": 0},
+            {"sampling_steps": 101},
+            {"sampling_steps": 2.5},
+            {"guidance": float("nan")},
+            {"guidance": "strong"},
+        ],
+        ids=str,
+    )
+    def test_settings_that_no_model_has(self, folder, change):
+        """Refused when it is loaded, not when it plans."""
+        content = json.loads((folder / "config.json").read_text())
+        content["path"] |= change
+        (folder / "config.json").write_text(json.dumps(content))
+        with pytest.raises(CheckpointError):
+            Modulator.from_pretrained(folder)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    scale=st.sampled_from([0.0, 1.0, 30.0, 1e4, 1e12, 1e30]),
+    dim=st.sampled_from([2, 3]),
+    level=st.floats(-1, 1),
+)
+@settings(max_examples=60)
+def test_whatever_the_weights_paths_are_finite_and_inside(seed, scale, dim, level):
+    model = make(dim)
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for name, parameter in model.path_diffuser.named_parameters():
+            parameter.add_(scale * torch.randn(parameter.shape, generator=generator))
+            assert torch.isfinite(parameter).all(), name
+    scene = lg.Scene.random(np.random.default_rng(seed), dim=dim)
+    try:
+        path = model.plan(scene, 0, level, seed=seed)
+    except CheckpointError:
+        assert scale > 1  # its numbers overflow
+        return
+    assert np.isfinite(path.waypoints).all()
+    assert scene.contains(path.trajectory(100), tolerance=0).all()
+    np.testing.assert_array_equal(path.waypoints[[0, -1]], [scene.start, scene.goals[0]])
+    assert np.isfinite(path.score)
+    assert path_curve(path.waypoints, 10).shape == (10, dim)
