@@ -38,15 +38,20 @@ def report(
     for file in files:
         name = file.stem.removeprefix("dial-")
         document = _read(file)
-        text = dial_table(document)
-        write_bytes(file.with_suffix(".md"), f"{text}\n".encode())
+        try:
+            text = dial_table(document)
+            written = {file.with_suffix(".md"): text + "\n"}
+            if readme is not None:
+                page = read_text(readme, "Markdown file")
+                written[readme] = replace_table(page, file.stem, text)
+            if weights is not None and (weights / name).is_dir():
+                card = render_card(name, _read(weights / name / "config.json"), document)
+                written[weights / name / "README.md"] = card
+        except (KeyError, TypeError) as cause:
+            raise InvalidInputError(f"{file} is not what `evaluate dial` writes") from cause
         dial_figure(document["result"], file.with_suffix(".png"))
-        if readme is not None:
-            page = replace_table(read_text(readme, "Markdown file"), file.stem, text)
-            write_bytes(readme, page.encode())
-        if weights is not None and (weights / name).is_dir():
-            config = _read(weights / name / "config.json")
-            write_bytes(weights / name / "README.md", render_card(name, config, document).encode())
+        for path, content in written.items():
+            write_bytes(path, content.encode())
         show(f"{file}: {document['command']}", text)
 
 
