@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 # What `make weights` and `make evaluate` use; each can be set on the command line.
 MODEL ?= block-reach-2d
 SCENES ?= 6400
-STEPS ?= 8000
+STEPS ?= 7000
 SEED ?= 0
 WORKERS ?= 2
 DATA ?= runs/$(MODEL)/data

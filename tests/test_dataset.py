@@ -14,8 +14,8 @@ import pytest
 
 import legibility as lg
 from legibility import dataset
-from legibility.curves import arc_length, path_curve
-from legibility.dataset import LABEL_KNOTS, NUM_WAYPOINTS, Dataset, DatasetConfig, generate, select
+from legibility.curves import NUM_WAYPOINTS, arc_length, path_curve
+from legibility.dataset import LABEL_KNOTS, Dataset, DatasetConfig, generate, select
 from legibility.errors import DatasetError, InvalidInputError, OutputError
 from legibility.intent.metrics import SCORE_POINTS
 from legibility.motion.archive import DEFAULT_CELLS, build_archive

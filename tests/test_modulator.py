@@ -14,7 +14,7 @@ from legibility.errors import CheckpointError, InvalidInputError, InvalidSceneEr
 from legibility.intent.metrics import SCORE_POINTS
 from legibility.models.checkpoint import load_tensors, save_tensors
 from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig, noise_schedule
-from legibility.modulator import Modulator, Path, pretrained_names
+from legibility.modulator import Modulator, Path, _archive, pretrained_names
 from legibility.scene import DEFAULT_SIGMA
 
 torch.set_num_threads(1)
@@ -223,6 +223,7 @@ class TestCandidates:
             return lg.build_archive(scene, target, **options, max_candidates=4096)
 
         monkeypatch.setattr("legibility.modulator.build_archive", build)
+        _archive.cache_clear()
         model = make()
         model.plan(SCENES[2], 0, LEVELS)
         assert built == []
@@ -235,10 +236,12 @@ class TestCandidates:
 
     def test_only_the_last_archives_are_kept(self, monkeypatch):
         monkeypatch.setattr("legibility.modulator.build_archive", lambda *_, **__: object())
+        _archive.cache_clear()
         model = make()
         for seed in range(40):
             model.archive(lg.Scene.random(np.random.default_rng(seed)))
-        assert len(model._archives) == 16
+        assert _archive.cache_info().currsize == 32
+        _archive.cache_clear()  # of what stands for archives here
 
 
 class TestOptions:

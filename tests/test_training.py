@@ -414,7 +414,7 @@ class TestFrameScorer:
     def test_label_of_the_knots(self, scored, monkeypatch):
         _, scorer, conditions, each, waypoints = scored
         for index in range(0, len(LABEL_KNOTS), 8):
-            wanted = scorer.knots[each, index]
+            wanted = -torch.exp(-scorer.knots[each, index])
             monkeypatch.setattr(scorer, "score", lambda *_, wanted=wanted: wanted)
             found = scorer.label(conditions, each, waypoints)
             np.testing.assert_allclose(found, LABEL_KNOTS[index], atol=2e-3)
@@ -422,7 +422,7 @@ class TestFrameScorer:
     def test_label_goes_on_beyond_the_ends(self, scored, monkeypatch):
         _, scorer, conditions, each, waypoints = scored
         for end, sign in ((0, -1), (-1, 1)):
-            beyond = scorer.knots[each, end] + sign * 0.1
+            beyond = -torch.exp(-scorer.knots[each, end] - sign * 0.1)
             monkeypatch.setattr(scorer, "score", lambda *_, beyond=beyond: beyond)
             found = scorer.label(conditions, each, waypoints)
             assert (sign * found > 1).all()
@@ -528,3 +528,28 @@ def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):
     assert found[-1]["validation_error"] < 0.3
     assert found[-1]["validation_at_1"] > 0.4
     assert found[-1]["validation_at_-1"] < -0.4
+
+
+class TestSidesThatAreThin:
+    """Scenes whose whole legible side lies within a millionth of the range of their scores."""
+
+    def test_label_is_exact_and_has_a_gradient(self, tmp_path):
+        config = DatasetConfig(scenes=12, per_scene=33, cells=24, stream="validation")
+        data = generate(config, tmp_path)
+        knots = data.score_at_label
+        share = (knots[:, -1] - knots[:, 32]) / (knots[:, -1] - knots[:, 0])
+        thin = int(np.argmin(share))
+        assert share[thin] < 1e-6
+        frame = Frame.of(data.scenes[thin], 0)
+        each = torch.full((config.per_scene,), thin)
+        conditions = tiny_model(data).conditions(data.scenes, [0] * 12).map(lambda x: x[each])
+        waypoints = torch.from_numpy(
+            frame.world_to_frame(data.waypoints[thin]).astype(np.float32)
+        ).requires_grad_()
+        label = FrameScorer(data, tiny_model(data).conditions(data.scenes, [0] * 12)).label(
+            conditions, each, waypoints
+        )
+        assert np.abs(label.detach().numpy() - data.labels[thin]).max() < 0.1
+        (gradient,) = torch.autograd.grad(label.sum(), waypoints)
+        assert torch.isfinite(gradient).all()
+        assert (gradient[17:].abs().sum((1, 2)) > 1e-3).all()

@@ -11,6 +11,10 @@ from .checks import Array
 __all__ = ["arc_length", "farthest_from_segment", "path_curve", "resample", "spline_matrix"]
 
 
+NUM_WAYPOINTS = 8
+"""K: waypoints of a path between start and goal (paper, section V.C)."""
+
+
 def cumulative_length(trajectory: Array) -> Array:
     """Length [m] from the start to each point, `(..., T)`."""
     steps = np.linalg.norm(np.diff(trajectory, axis=-2), axis=-1)

@@ -19,19 +19,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from .checks import Array, bounded, count, positive, random_seed
-from .curves import arc_length, path_curve
+from .curves import NUM_WAYPOINTS, arc_length, path_curve
 from .errors import DatasetError, InvalidInputError
-from .files import atomic_path, read_text, write_json
+from .files import atomic_path, file_hash, read_text, write_json
 from .intent.labels import LABELS
 from .intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
 from .motion.archive import DEFAULT_CELLS, Archive, build_archive
 from .motion.bezier import bezier_trajectories
 from .scene import DEFAULT_SIGMA, STREAMS, Scene, stream_seed
 
-__all__ = ["NUM_WAYPOINTS", "Dataset", "DatasetConfig", "generate", "select"]
-
-NUM_WAYPOINTS = 8
-"""K: waypoints of a path between start and goal (paper, section V.C)."""
+__all__ = ["Dataset", "DatasetConfig", "generate", "select"]
 
 LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, so that a score can be read as a label later."""
@@ -95,10 +92,11 @@ class DatasetConfig:
                 f"goals must be two integers from 2 to 12, rising, got {self.goals}"
             )
         object.__setattr__(self, "goals", (low, high))
-        object.__setattr__(self, "sigma", self.sigma or DEFAULT_SIGMA[self.dim])
-        object.__setattr__(self, "cells", self.cells or DEFAULT_CELLS[self.dim])
+        if bounded("sigma", self.sigma, 0) == 0:
+            object.__setattr__(self, "sigma", DEFAULT_SIGMA[self.dim])
+        if count("cells", self.cells, low=0) == 0:
+            object.__setattr__(self, "cells", DEFAULT_CELLS[self.dim])
         positive("efficiency", self.efficiency)
-        positive("sigma", self.sigma)
         bounded("alpha", self.alpha, 0)
         count("cells", self.cells, low=8)
 
@@ -116,13 +114,12 @@ class DatasetConfig:
 
     def scene(self, index: int) -> tuple[Scene, Archive]:
         """Scene `index` of this dataset and its archive; the target is goal 0."""
-        draw, build = stream_seed(self.stream, self.seed, index).spawn(2)
-        rng = np.random.default_rng(draw)
+        rng = np.random.default_rng(stream_seed(self.stream, self.seed, index, "scene"))
         num_goals = int(rng.integers(self.goals[0], self.goals[1] + 1))
         scene = Scene.random(rng, dim=self.dim, num_goals=num_goals)
         archive = build_archive(
             scene,
-            seed=build,
+            seed=stream_seed(self.stream, self.seed, index, "archive"),
             sigma=self.sigma,
             alpha=self.alpha,
             label=self.label,
@@ -167,7 +164,7 @@ def select(
     order = np.argsort(labels, kind="stable")
     ranked = labels[order]
     wanted = np.linspace(-1, 1, num)
-    # Candidates for a level: all within half a step, and its eight nearest on either side at least.
+    # Candidates for a level: all within half a step, and four on either side at least.
     centre = np.searchsorted(ranked, wanted)
     low = np.minimum(np.searchsorted(ranked, wanted - 1 / num), np.maximum(centre - 4, 0))
     high = np.maximum(np.searchsorted(ranked, wanted + 1 / num), np.minimum(centre + 4, len(order)))
@@ -187,7 +184,7 @@ def select(
 
 def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
     scene, archive = config.scene(index)
-    rng = np.random.default_rng(stream_seed(config.stream, config.seed, index).spawn(3)[2])
+    rng = np.random.default_rng(stream_seed(config.stream, config.seed, index, "choice"))
     chosen = select(archive, config.per_scene, config.efficiency, rng)
     return {
         "scene": index,
@@ -259,6 +256,8 @@ def generate(
     manifest = {"format": _FORMAT, "config": config.to_dict(), "complete": False}
     write_json(folder / _MANIFEST, manifest)
 
+    for leftover in folder.glob(".*.parquet"):  # of a run that was killed
+        leftover.unlink()
     names = config.shard_names
     missing = [i for i, name in enumerate(names) if not _is_whole(folder / name, config)]
     progress(len(names) - len(missing), len(names))
@@ -267,7 +266,7 @@ def generate(
     for done, _ in enumerate(results, len(names) - len(missing) + 1):  # pyright: ignore
         progress(done, len(names))
 
-    shards = [{"name": n, "sha256": _sha256(folder / n)} for n in names]
+    shards = [{"name": n, "sha256": file_hash(folder / n)} for n in names]
     counts = {"scenes": config.scenes, "trajectories": config.scenes * config.per_scene}
     write_json(
         folder / _MANIFEST, {**manifest, "complete": True, "counts": counts, "shards": shards}
@@ -325,7 +324,7 @@ class Dataset:
         tables, digest = [], hashlib.sha256()
         for shard in manifest["shards"]:
             path = folder / shard["name"]
-            if not path.exists() or _sha256(path) != shard["sha256"]:
+            if not path.exists() or file_hash(path) != shard["sha256"]:
                 raise DatasetError(f"{path} is missing or not as it was written")
             digest.update(shard["sha256"].encode())
             tables.append(pq.read_table(path))
@@ -369,8 +368,3 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         return manifest
     except (ValueError, KeyError, TypeError, AttributeError) as cause:
         raise DatasetError(f"{folder / _MANIFEST} is not a dataset manifest") from cause
-
-
-def _sha256(path: Path) -> str:
-    with open(path, "rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()

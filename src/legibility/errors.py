@@ -12,6 +12,7 @@ __all__ = [
     "LegibilityError",
     "MissingExtraError",
     "OutputError",
+    "TrainingError",
 ]
 
 
@@ -33,6 +34,10 @@ class CheckpointError(LegibilityError):
 
 class DatasetError(LegibilityError):
     """A dataset is missing, incomplete, corrupted or was made with another configuration."""
+
+
+class TrainingError(LegibilityError):
+    """Training cannot go on; the message says what to change."""
 
 
 class OutputError(LegibilityError, OSError):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections import OrderedDict
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -14,10 +13,9 @@ import torch
 from numpy.typing import ArrayLike
 
 from .checks import Array, count, finite_array, legibility_levels, random_seed, target_index
-from .curves import path_curve
-from .dataset import NUM_WAYPOINTS
+from .curves import NUM_WAYPOINTS, path_curve
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
-from .files import read_text, write_json
+from .files import file_hash, read_text, write_json
 from .intent.field import InformationPotentialField
 from .intent.metrics import SCORE_POINTS, legibility_score
 from .models.checkpoint import load_state, load_tensors, save_tensors
@@ -61,6 +59,7 @@ class Path:
     def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
         """The smooth curve through the waypoints, `(B?, num_points, D)` [m], in the workspace."""
         curve = path_curve(self.waypoints, count("num_points", num_points, low=2))
+        curve[..., [0, -1], :] = self.waypoints[..., [0, -1], :]  # free of rounding
         return np.clip(curve, *self.scene.workspace)
 
     @cached_property
@@ -68,16 +67,10 @@ class Path:
         """`legibility_score` of the trajectory, `(B?)`; higher = more legible."""
         return legibility_score(self.trajectory(), self.field, self.target, self.alpha)
 
-    @cached_property
+    @property
     def archive(self) -> Archive:
         """The scene's archive, built on first use."""
-        return build_archive(
-            self.scene,
-            self.target,
-            sigma=self.field.sigma,
-            alpha=self.alpha,
-            label=self.label,
-        )
+        return _archive(self.scene, self.target, self.field.sigma, self.alpha, self.label)
 
     @cached_property
     def achieved(self) -> Array:
@@ -103,7 +96,6 @@ class Modulator:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
         self.name = name
         self.training = training
-        self._archives: OrderedDict[tuple[Scene, int], Archive] = OrderedDict()
 
     @property
     def config(self) -> PathDiffuserConfig:
@@ -128,20 +120,28 @@ class Modulator:
             if content["format"] != _FORMAT:
                 raise CheckpointError(f"{folder} has format {content['format']}, not {_FORMAT}")
             config = PathDiffuserConfig.from_dict(content["path"])
-            model = PathDiffuser(config)
+            model, digest, training = PathDiffuser(config), content["sha256"], content["training"]
         except CheckpointError:
             raise
         except (ValueError, KeyError, TypeError, RuntimeError) as cause:
             raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
         weights = folder / "path.safetensors"
+        if weights.is_file() and file_hash(weights) != digest:
+            raise CheckpointError(f"{weights} is not the file that {folder / 'config.json'} names")
         load_state(model, load_tensors(weights)[0], weights)
-        return cls(model, name=folder.resolve().name, training=content.get("training"))
+        return cls(model, name=folder.resolve().name, training=training)
 
     def save_pretrained(self, folder: str | FilePath) -> None:
         """Write `config.json` and `path.safetensors` to `folder`."""
         folder = FilePath(folder)
-        save_tensors(folder / "path.safetensors", self.path_diffuser.state_dict())
-        content = {"format": _FORMAT, "path": self.config.to_dict(), "training": self.training}
+        weights = folder / "path.safetensors"
+        save_tensors(weights, self.path_diffuser.state_dict())
+        content = {
+            "format": _FORMAT,
+            "path": self.config.to_dict(),
+            "sha256": file_hash(weights),
+            "training": self.training,
+        }
         write_json(folder / "config.json", content)
 
     def plan(
@@ -200,25 +200,13 @@ class Modulator:
             errors = np.abs(archive.label_of(path(slice(None), asked).score) - asked)
             best = np.argmin(errors.reshape(-1, num_candidates), axis=1)
             rows = np.arange(len(best)) * num_candidates + best
-            chosen = path(rows if levels.ndim else rows[0], levels)
-            chosen.__dict__["archive"] = archive
-            return chosen
+            return path(rows if levels.ndim else rows[0], levels)
         return path(slice(None) if levels.ndim else 0, levels)
 
     def archive(self, scene: Scene, target: int = 0) -> Archive:
-        """The archive of a scene as this model's labels mean it; the last 16 are kept."""
-        key = (scene, target)
-        if key not in self._archives:
-            self._archives[key] = build_archive(
-                scene,
-                target,
-                sigma=self.config.sigma,
-                alpha=self.config.alpha,
-                label=self.config.label,
-            )
-            if len(self._archives) > 16:
-                self._archives.popitem(last=False)
-        return self._archives[key]
+        """The archive of a scene as this model's labels mean it; the last ones are kept."""
+        config = self.config
+        return _archive(scene, target, config.sigma, config.alpha, config.label)
 
     @torch.inference_mode()
     def _draw(
@@ -258,6 +246,11 @@ class Modulator:
             )
 
 
+@lru_cache(maxsize=32)
+def _archive(scene: Scene, target: int, sigma: float, alpha: float, label: str) -> Archive:
+    return build_archive(scene, target, sigma=sigma, alpha=alpha, label=label)
+
+
 def pretrained_folder(name_or_folder: str | FilePath) -> FilePath:
     """The folder of the weights: the one that is given, or that of a name in `pretrained_names()`.
 
@@ -270,7 +263,7 @@ def pretrained_folder(name_or_folder: str | FilePath) -> FilePath:
     if FilePath(name_or_folder).is_dir():
         return FilePath(name_or_folder)
     raise CheckpointError(
-        f"there are no weights {str(name_or_folder)!r}: give a folder or one of {', '.join(names)}"
+        f"there are no weights {str(name_or_folder)!r}: give a folder or one of {names}"
     )
 
 

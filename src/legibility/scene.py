@@ -28,6 +28,7 @@ DEFAULT_SIGMA = {2: 0.15, 3: 0.08}
 STREAMS = ("train", "validation", "evaluation")
 """Seed streams that never meet: what a model learned from, was tuned on, and is reported on."""
 
+_USES = ("scene", "archive", "choice", "plan")
 _BLOCK_HEIGHT = 0.04
 _MIN_SEPARATION = 0.12
 _COINCIDENT = 1e-6
@@ -234,9 +235,17 @@ class Scene:
                 return cls(points[0], points[1:])
 
 
-def stream_seed(stream: str, seed: int, index: int) -> np.random.SeedSequence:
-    """The seed of item `index` of a stream: independent of every other stream, seed and index."""
-    return np.random.SeedSequence([STREAMS.index(stream), seed, index])
+def stream_seed(stream: str, seed: int, index: int, use: str) -> np.random.SeedSequence:
+    """The seed of one use of item `index` of a stream, independent of all others.
+
+    Args:
+        stream: one of `STREAMS`.
+        seed: of the dataset or evaluation.
+        index: of the item.
+        use: `scene`, `archive`, `choice` (of trajectories) or `plan`.
+    """
+    key = _USES.index(use)
+    return np.random.SeedSequence([STREAMS.index(stream), seed, index], spawn_key=(key,))
 
 
 def _is_yaml(path: str | Path) -> bool:

@@ -1,7 +1,7 @@
 """How weights are made: one loop that logs, validates, checkpoints and resumes bit for bit.
 
-Every random number of a step comes from the seed and the step's number, so a run that was killed
-and resumed makes the same weights as one that was not.
+Every random number of a step comes from the seed and the step's number, so on a CPU a run that was
+killed and resumed with the same number of threads makes the same weights as one that was not.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .checks import bounded, count, positive, random_seed
-from .curves import spline_matrix
-from .dataset import LABEL_KNOTS, NUM_WAYPOINTS, Dataset
-from .errors import CheckpointError, InvalidInputError
-from .files import write_bytes
+from .curves import NUM_WAYPOINTS, spline_matrix
+from .dataset import LABEL_KNOTS, Dataset
+from .errors import CheckpointError, InvalidInputError, TrainingError
+from .files import read_text, write_bytes
+from .intent.metrics import SCORE_POINTS
 from .models.checkpoint import load_state, load_tensors, save_tensors
 from .models.frame import Frame
 from .models.path_diffuser import Conditions, PathDiffuser, PathDiffuserConfig, noise_schedule
 
 __all__ = ["TrainingConfig", "train_path"]
 
+_LEAST_COST = 1e-30
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
 
@@ -54,7 +56,7 @@ class TrainingConfig:
         checkpoint_every: steps between checkpoints.
     """
 
-    steps: int = 12_000
+    steps: int = 7000
     scenes: int = 128
     per_scene: int = 8
     learning_rate: float = 1e-3
@@ -104,7 +106,8 @@ def train(
         config: how to train.
         folder: of the checkpoint and the log.
         identity: what this run is (data, model); a checkpoint of another is refused.
-        progress: called after each step with the steps done, all of them and the last figures.
+        progress: called after each step with the steps done, all of them and what was logged, if
+            anything was.
 
     Raises:
         CheckpointError: the folder's checkpoint is corrupted or of another run.
@@ -141,7 +144,9 @@ def train(
             if last or finished % config.checkpoint_every == 0 or finished % 50 == 0:
                 row = {k: float(v) for k, v in {"loss": value.detach(), **figures}.items()}
                 if not math.isfinite(row["loss"]):
-                    raise CheckpointError(f"the loss is {row['loss']} at step {finished}")
+                    raise TrainingError(
+                        f"the loss is {row['loss']} at step {finished}; try a lower learning_rate"
+                    )
             if last or finished % config.validate_every == 0:
                 row |= validate(average)
             if row:
@@ -228,9 +233,12 @@ class _Log:
 
     def __init__(self, folder: Path, done: int) -> None:
         self._path = folder / LOG
-        rows = self._path.read_text().splitlines() if self._path.exists() else []
-        whole = [row for row in rows if row.endswith("}")]
-        self._rows = [row for row in whole if json.loads(row)["step"] <= done]
+        text = read_text(self._path, "log", CheckpointError) if self._path.exists() else ""
+        whole = [row for row in text.splitlines() if row.endswith("}")]
+        try:
+            self._rows = [row for row in whole if json.loads(row)["step"] <= done]
+        except (ValueError, LookupError, TypeError) as cause:
+            raise CheckpointError(f"{self._path} is not a training log") from cause
         self._save()
         try:
             from torch.utils.tensorboard import SummaryWriter
@@ -275,7 +283,7 @@ class PathBatches:
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Mean squared error of the velocity, and of the label that the denoised path achieves."""
+        """Squared error of the velocity, and smooth L1 of the denoised path's achieved label."""
         config, steps = self.config, model.config.diffusion_steps
         num, per = config.scenes, config.per_scene
         scenes = torch.randint(len(self.labels), (num,), generator=generator)
@@ -291,24 +299,27 @@ class PathBatches:
         label = self.labels[each, chosen.flatten()]
 
         clean = model.to_latent(waypoints)
-        alpha = model.signal[timestep, None, None]
-        noisy = alpha.sqrt() * clean + (1 - alpha).sqrt() * noise
-        velocity = alpha.sqrt() * noise - (1 - alpha).sqrt() * clean
+        signal = model.signal[timestep, None, None]
+        noisy = signal.sqrt() * clean + (1 - signal).sqrt() * noise
+        velocity = signal.sqrt() * noise - (1 - signal).sqrt() * clean
         scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), keep)
-        context = model.encode(scene.repeat_interleave(per, 0), label, keep.repeat_interleave(per))
-        conditions = self.conditions.map(lambda x: x[each])
         kept = keep.repeat_interleave(per)
+        context = model.encode(scene.repeat_interleave(per, 0), label, kept)
+        conditions = self.conditions.without_image().map(lambda x: x[each])
         predicted = model(noisy, timestep, context, conditions, kept)
         velocity_loss = F.mse_loss(predicted, velocity)
         if not config.score_weight:
             return velocity_loss, {"velocity": velocity_loss.detach()}
 
         # What the path would achieve if denoised at once. Under much noise that is a mean over many
-        # paths, whose label says little, so it counts by the signal's share.
-        estimate = alpha.sqrt() * noisy - (1 - alpha).sqrt() * predicted
-        achieved = self.scorer.label(conditions, each, model.from_latent(estimate))
-        weight = (alpha[:, 0, 0] ** 2) * kept
-        error = F.smooth_l1_loss(achieved, label, beta=0.1, reduction="none")
+        # paths, whose label says little: it counts by the signal squared, and not under the most.
+        clear = torch.nonzero(kept & (signal[:, 0, 0] > 0.2))[:, 0]
+        estimate = (signal.sqrt() * noisy - (1 - signal).sqrt() * predicted)[clear]
+        achieved = self.scorer.label(
+            conditions.map(lambda x: x[clear]), each[clear], model.from_latent(estimate)
+        )
+        weight = signal[clear, 0, 0] ** 2
+        error = F.smooth_l1_loss(achieved, label[clear], beta=0.1, reduction="none")
         label_loss = (weight * error).sum() / weight.sum().clamp_min(1e-6)
         total = velocity_loss + config.score_weight * label_loss
         return total, {"velocity": velocity_loss.detach(), "label": label_loss.detach()}
@@ -326,10 +337,13 @@ class FrameScorer:
         def tensor(array: np.ndarray) -> Tensor:
             return torch.tensor(array, dtype=torch.float32, device=conditions.vector.device)
 
-        self.knots = tensor(np.maximum.accumulate(data.score_at_label, axis=1))
+        # In the logarithm, since a scene may be so clear that its whole legible side lies within
+        # a millionth of its scores.
+        knots = -np.log(np.maximum(-data.score_at_label, _LEAST_COST))
+        self.knots = tensor(np.maximum.accumulate(knots, axis=1))
         self.values = tensor(LABEL_KNOTS)
         self.alpha = data.config.alpha
-        self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, 33))
+        self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, SCORE_POINTS))
         self.ends = tensor(np.eye(2, data.config.dim, k=-1))
 
     def score(self, conditions: Conditions, waypoints: Tensor) -> Tensor:
@@ -354,11 +368,11 @@ class FrameScorer:
             scenes: their indices `(B,)` in the data.
             waypoints: `(B, K, D)` in their start–target frames.
         """
-        score = self.score(conditions, waypoints)
+        score = -torch.log((-self.score(conditions, waypoints)).clamp_min(_LEAST_COST))
         knots = self.knots[scenes]
         right = torch.searchsorted(knots, score.detach()[:, None]).clamp(1, len(self.values) - 1)
         low, high = knots.gather(1, right - 1)[:, 0], knots.gather(1, right)[:, 0]
-        span = (high - low).clamp_min(1e-4 * (knots[:, -1] - knots[:, 0]))
+        span = (high - low).clamp_min(1e-5 * (knots[:, -1] - knots[:, 0]))
         right = right[:, 0]
         step = self.values[1] - self.values[0]
         return self.values[right - 1] + (score - low) / span * step
@@ -390,8 +404,15 @@ def train_path(
     """
     config = config or TrainingConfig()
     settings |= {name: getattr(data.config, name) for name in ("dim", "sigma", "alpha", "label")}
-    torch.manual_seed(config.seed)
-    model = PathDiffuser(PathDiffuserConfig(**settings))
+    if "evaluation" in (data.config.stream, validation.config.stream):
+        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
+    for name, value in settings.items():
+        found = getattr(validation.config, name, value)
+        if found != value:
+            raise InvalidInputError(f"the validation data have {name} {found}, the data {value}")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        model = PathDiffuser(PathDiffuserConfig(**settings))
     where = _device(device)
     batches = PathBatches(data, model, config, where)
     model = model.to(where)

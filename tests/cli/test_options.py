@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tyro
 
-from legibility.cli.options import check_seed, flags, levels, made, span
+from legibility.cli.options import flags, levels, made, span
 from legibility.errors import InvalidInputError
 
 
@@ -48,12 +48,6 @@ def test_span(text, expected):
 def test_wrong_span(text):
     with pytest.raises(InvalidInputError, match="goals must"):
         span("goals", text)
-
-
-@pytest.mark.parametrize("seed", [-1, 2**32])
-def test_wrong_seed(seed):
-    with pytest.raises(InvalidInputError, match="seed must"):
-        check_seed(seed)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from legibility import InformationPotentialField, Scene
-from legibility.dataset import NUM_WAYPOINTS
+from legibility.curves import NUM_WAYPOINTS
 from legibility.errors import CheckpointError
 from legibility.models.frame import DEPTH, Frame, vector_size
 from legibility.models.path_diffuser import (

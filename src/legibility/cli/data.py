@@ -85,7 +85,7 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
         "scenes": len(dataset.scenes),
         "trajectories": labels.size,
         "sha256": dataset.digest,
-        "bytes": sum(f.stat().st_size for f in folder.glob("*.parquet")),
+        "bytes": sum((folder / n).stat().st_size for n in dataset.config.shard_names),
         "goals": dict(zip(goals.tolist(), scenes, strict=True)),
         "coverage": {"mean": summary["coverage"].mean(), "min": summary["coverage"].min()},
         "elites": {"mean": summary["elites"].mean(), "min": summary["elites"].min()},

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial
+from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
 from ..modulator import Modulator
 from .options import MODEL, OutputFile, flags, made
 from .output import (
@@ -58,23 +58,9 @@ def dial(
     rows.columns[-1].justify = "left"
     for name, figures in result["overall"].items():
         low, high = figures["interval"]
-        what = FIGURES.get(name, "")
+        least = worst(name, figures)
         rows.add_row(
             name, number(figures["mean"], 4), f"{number(low, 4)} … {number(high, 4)}",
-            _worst(what, figures), what,
+            "" if least is None else number(least, 4), FIGURES[name].text,
         )  # fmt: skip
     show(rows, f"one plan on one core: {number(result['plan_ms'], 1)} ms")
-
-
-def _worst(what: str, figures: dict[str, float]) -> str:
-    """The worst scene's value, if the figure's description says which way is better."""
-    low, high = figures["min"], figures["max"]
-    _, _, better = what.rpartition("; ")
-    if better.startswith("higher"):
-        return number(low, 4)
-    if better.startswith("lower"):
-        return number(high, 4)
-    if better.startswith("nearer to "):
-        wanted = float(better.split()[2].replace("−", "-"))
-        return number(max((low, high), key=lambda value: abs(value - wanted)), 4)
-    return ""

@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..checks import Array, count, legibility_levels
+from ..checks import Array, legibility_levels
 from ..errors import InvalidInputError
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "OptionalInt",
     "OutputFile",
     "SceneFile",
-    "check_seed",
     "flags",
     "levels",
     "made",
@@ -76,12 +75,6 @@ def span(name: str, text: str) -> tuple[int, int]:
     return low, high
 
 
-def check_seed(seed: int) -> None:
-    """Raise if `seed` is more than torch's generators take, with room for one a scene."""
-    if not 0 <= seed < 2**32:
-        raise InvalidInputError(f"seed must be an integer from 0 to {2**32 - 1}, got {seed}")
-
-
 def flags(settings: type, *omitted: str) -> Any:
     """The fields of a dataclass as flags, with its defaults and its docstring as their help.
 
@@ -114,9 +107,4 @@ def made(settings: type[Settings], given: Any, **rest: Any) -> Settings:
         name: span(name, value) if types[name] == tuple[int, int] else value
         for name, value in vars(given).items()
     }
-    for name in values:
-        if types[name] is int:
-            count(name, values[name], low=0)
-    if "seed" in values:
-        check_seed(values["seed"])
     return settings(**values, **rest)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import math
 import os
 import shlex
@@ -21,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..errors import CheckpointError, OutputError
-from ..files import write_json
+from ..files import file_hash, write_json
 
 __all__ = [
     "ARGUMENTS",
@@ -85,8 +84,7 @@ def model_record(name_or_folder: str) -> dict[str, str]:
 
     folder = pretrained_folder(name_or_folder)
     try:
-        with open(folder / "path.safetensors", "rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        digest = file_hash(folder / "path.safetensors")
     except OSError as cause:
         raise CheckpointError(f"cannot read the weights of {name_or_folder}: {cause}") from cause
     return {"name": name_or_folder, "sha256": digest}

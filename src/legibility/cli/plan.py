@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from .options import MODEL, OptionalFloat, OptionalInt, OutputFile, SceneFile, check_seed, levels
+from .options import MODEL, OptionalFloat, OptionalInt, OutputFile, SceneFile, levels
 from .output import (
     check_figure,
     check_file,
@@ -50,12 +50,12 @@ def plan(
         json: everything as JSON.
         csv: the trajectories as CSV, the format that `legibility score` reads.
     """
-    from ..checks import count, target_index
+    from ..checks import count, random_seed, target_index
     from ..curves import arc_length
     from ..scene import Scene
 
     asked = levels(legibility)
-    check_seed(seed)
+    random_seed("seed", seed)
     count("points", points, low=2)
     check_figure(figure)
     check_file(json, "JSON file")

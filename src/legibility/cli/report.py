@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
-from ..evaluation.card import dial_table, render_card, replace_table
+from ..evaluation.card import dial_section, render_card, replace_table
 from ..evaluation.figures import dial_figure
 from ..files import read_text, write_bytes
 from .options import Folder, OutputFile
@@ -23,12 +23,12 @@ def report(
 ) -> None:
     """Render what `legibility evaluate` wrote: tables, figures and model cards.
 
-    Every DIR/dial-NAME.json becomes a table DIR/dial-NAME.md and a figure DIR/dial-NAME.png.
+    Every DIR/dial-NAME.json becomes a text DIR/dial-NAME.md and a figure DIR/dial-NAME.png.
 
     Args:
         results: folder of the JSON files.
         readme: a Markdown file whose part between the comments `dial-NAME` and `/dial-NAME` is
-            replaced by the table.
+            replaced by the text.
         weights: a folder whose subfolder NAME, if there is one, gets its model card.
     """
     check_folder(results, "report")
@@ -39,7 +39,7 @@ def report(
         name = file.stem.removeprefix("dial-")
         document = _read(file)
         try:
-            text = dial_table(document)
+            text = dial_section(document)
             written = {file.with_suffix(".md"): text + "\n"}
             if readme is not None:
                 page = read_text(readme, "Markdown file")
@@ -47,7 +47,9 @@ def report(
             if weights is not None and (weights / name).is_dir():
                 card = render_card(name, _read(weights / name / "config.json"), document)
                 written[weights / name / "README.md"] = card
-        except (KeyError, TypeError) as cause:
+        except InvalidInputError:
+            raise
+        except (LookupError, TypeError, ValueError) as cause:
             raise InvalidInputError(f"{file} is not what `evaluate dial` writes") from cause
         dial_figure(document["result"], file.with_suffix(".png"))
         for path, content in written.items():

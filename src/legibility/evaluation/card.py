@@ -4,24 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..dataset import NUM_WAYPOINTS
+from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
-from .dial import FIGURES
+from .dial import FIGURES, worst
 
-__all__ = ["dial_table", "render_card", "replace_table"]
-
-_ORDER = (
-    "spearman", "error", "error_candidates", "at_1", "at_0", "at_-1", "length_ratio_at_0",
-    "inside", "beyond_archive", "wrong_order", "spread",
-)  # fmt: skip
-_LOWER_IS_BETTER = {
-    "error",
-    "error_candidates",
-    "length_ratio_at_0",
-    "wrong_order",
-    "spread",
-    "at_-1",
-}
+__all__ = ["dial_section", "dial_table", "render_card", "replace_table"]
 
 
 def dial_table(document: dict[str, Any]) -> str:
@@ -31,15 +18,28 @@ def dial_table(document: dict[str, Any]) -> str:
         "| figure | mean over scenes | 95 % interval | worst scene |",
         "| --- | --- | --- | --- |",
     ]
-    for name in _ORDER:
-        if name not in overall:
-            continue
-        figure = overall[name]
-        low, high = figure["interval"]
-        worst = figure["max" if name in _LOWER_IS_BETTER else "min"]
-        text = FIGURES[name].split(";")[0]
-        rows.append(f"| {text} | {figure['mean']:.4f} | {low:.4f} to {high:.4f} | {worst:.4f} |")
+    for name, figure in FIGURES.items():
+        if name in overall:
+            low, high = overall[name]["interval"]
+            least = worst(name, overall[name])
+            shown = "" if least is None else f"{least:.4f}"
+            mean = overall[name]["mean"]
+            rows.append(f"| {figure.text} | {mean:.4f} | {low:.4f} to {high:.4f} | {shown} |")
     return "\n".join(rows)
+
+
+def dial_section(document: dict[str, Any]) -> str:
+    """The table, what it was measured on and by which command, in Markdown."""
+    config, result = document["config"], document["result"]
+    return f"""\
+On {len(result["scenes"])} random scenes with {config["goals"][0]} to {config["goals"][1]} goals
+that training never drew (seed {document["seed"]}), {len(result["levels"])} levels of ℓ,
+{config["samples"]} paths each. One path is drawn for a sample; only the row "with candidates" takes
+the nearest of {config["candidates"]}. One plan took {result["plan_ms"]:.1f} ms on one core.
+
+{dial_table(document)}
+
+Measured by `{document["command"]}`."""
 
 
 def replace_table(text: str, name: str, table: str) -> str:
@@ -58,6 +58,8 @@ def render_card(name: str, config: dict[str, Any], document: dict[str, Any]) -> 
     Raises:
         InvalidInputError: the measurement is of other weights, or how they were made is not known.
     """
+    if document["model"]["sha256"] != config["sha256"]:
+        raise InvalidInputError(f"the measurement is of other weights than those of {name}")
     if not config.get("training"):
         raise InvalidInputError(f"the configuration of {name} does not say how it was trained")
     path, training = config["path"], config["training"]
@@ -87,23 +89,15 @@ reaching: from start, goals and ℓ in [−1, 1] to {NUM_WAYPOINTS} waypoints. U
 {training["parameters"]:,} parameters; {training["training"]["steps"]:,} steps of
 {training["training"]["scenes"]} scenes × {training["training"]["per_scene"]} trajectories, seed
 {training["training"]["seed"]}, in {minutes:.0f} minutes on {training["device"]}
-({training["threads"]} threads, PyTorch {training["torch"]}). Made by `make weights`.
+({training["threads"]} threads, PyTorch {training["torch"]}).
 
 ## How exact the dial is
 
-On {len(document["result"]["scenes"])} scenes that training never drew (stream `evaluation`, seed
-{document["seed"]}), {len(document["result"]["levels"])} levels of ℓ ×
-{document["config"]["samples"]} paths. One path is drawn for each sample; only the row that names
-candidates takes the nearest of {document["config"]["candidates"]}. One plan on one core took
-{document["result"]["plan_ms"]:.1f} ms.
-
-{dial_table(document)}
-
-Made by `{document["command"]}`.
+{dial_section(document)}
 
 ## Limits
 
-The observer is a model (a Gaussian around each goal), not a person. Scenes are the unit square with
-a margin of 0.1 m for start and goals; obstacles are not known. Labels are ranks within a scene's
-archive: the same ℓ is a different score in another scene.
+The observer is a model (a Gaussian around each goal), not a person. It was trained on the
+default workspace of {path["dim"]}-D scenes alone; obstacles are not known. Labels are ranks within
+a scene's archive: the same ℓ is a different score in another scene.
 """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,27 +13,48 @@ import torch
 from ..checks import Array, count
 from ..curves import arc_length
 from ..dataset import DatasetConfig
-from ..modulator import Modulator, Path
+from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..scene import Scene, stream_seed
 from .statistics import rank_correlation, summary
 
-__all__ = ["FIGURES", "DialConfig", "evaluate_dial"]
+__all__ = ["FIGURES", "DialConfig", "evaluate_dial", "worst"]
+
+
+class Figure(NamedTuple):
+    """What a figure means, and the value nearest to which is best (±inf: the higher or lower)."""
+
+    text: str
+    best: float | None
+
 
 FIGURES = {
-    "spearman": "Spearman correlation of asked and achieved ℓ; higher = better",
-    "error": "mean absolute error of the achieved ℓ; lower = better",
-    "error_candidates": "the same, nearest of the candidates; lower = better",
-    "at_-1": "mean achieved ℓ when asked −1; nearer to −1 = better",
-    "at_0": "mean achieved ℓ when asked 0; nearer to 0 = better",
-    "at_1": "mean achieved ℓ when asked 1; nearer to 1 = better",
-    "beyond_archive": "share of the paths asked for ±1 whose score is beyond the archive's extreme",
-    "inside": "share of curves that lay inside the workspace as drawn; higher = better",
-    "length_ratio_at_0": "length over the straight line's when asked 0; nearer to 1 = better",
-    "wrong_order": "share of adjacent levels whose mean achieved ℓ does not rise; lower = better",
-    "spread": "standard deviation of the achieved ℓ among samples of one level, mean over levels",
+    "spearman": Figure("Spearman correlation of asked and achieved ℓ", np.inf),
+    "error": Figure("mean absolute error of the achieved ℓ", -np.inf),
+    "error_candidates": Figure("the same, with candidates", -np.inf),
+    "at_1": Figure("achieved ℓ when asked 1", 1.0),
+    "at_0": Figure("achieved ℓ when asked 0", 0.0),
+    "at_-1": Figure("achieved ℓ when asked −1", -1.0),
+    "length_ratio_at_0": Figure("length over the straight line's when asked 0", 1.0),
+    "inside": Figure("share of curves inside the workspace", np.inf),
+    "drawn_inside": Figure("the same, before curves are brought back to its walls", np.inf),
+    "beyond_archive": Figure(
+        "share of paths asked for ±1 that are beyond the archive's best", None
+    ),
+    "wrong_order": Figure("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
+    "spread": Figure("standard deviation of the achieved ℓ among samples of a level", None),
 }
 """What is measured of each scene."""
+
+
+def worst(name: str, figures: dict[str, float]) -> float | None:
+    """The worst scene's value of a figure, None if neither way is better."""
+    best = FIGURES[name].best
+    if best is None:
+        return None
+    if np.isinf(best):
+        return figures["min" if best > 0 else "max"]
+    return max((figures["min"], figures["max"]), key=lambda value: abs(value - best))
 
 
 @dataclass(frozen=True)
@@ -102,7 +123,9 @@ def evaluate_dial(
     return {
         "overall": {name: summary(np.array([row[name] for row in rows])) for name in names},
         "levels": levels.tolist(),
-        "plan_ms": plan_milliseconds(modulator, source.scene(0)[0]),
+        "plan_ms": plan_milliseconds(
+            modulator, source.scene(0)[0], guidance=config.guidance, steps=config.steps
+        ),
         "scenes": rows,
     }
 
@@ -116,7 +139,7 @@ def _measure(
     config: DialConfig,
 ) -> dict[str, Any]:
     options: dict[str, Any] = {"guidance": config.guidance, "steps": config.steps}
-    draw = stream_seed("evaluation", config.seed, index).spawn(4)[3]
+    draw = stream_seed("evaluation", config.seed, index, "plan")
     seed = int(draw.generate_state(1, np.uint64)[0] >> 2)
     asked = np.repeat(levels, config.samples)
     path = modulator.plan(scene, 0, asked, seed=seed, **options)
@@ -134,29 +157,26 @@ def _measure(
         "at_0": float(means[zero].mean()),
         "at_1": float(means[-1]),
         "beyond_archive": float(beyond.mean()),
-        "inside": float(1 - np.mean(path.clipped)),
+        "inside": float(scene.contains(path.trajectory(200)).all(-1).mean()),
+        "drawn_inside": float(1 - np.mean(path.clipped)),
         "length_ratio_at_0": float(length.reshape(len(levels), -1)[zero].mean()),
         "wrong_order": float((np.diff(means) < 1e-9).mean()),
         "spread": float(table.std(axis=1).mean()),
     }
     if config.candidates:
-        drawn = modulator.plan(
-            scene, 0, np.repeat(levels, config.candidates), seed=seed + 1, **options
+        # Chosen by an archive of the modulator's own, as a user's are; judged by this one.
+        nearest = modulator.plan(
+            scene, 0, levels, seed=seed, num_candidates=config.candidates, **options
         )
-        figures["error_candidates"] = float(
-            nearest_error(archive, drawn, levels, config.candidates).mean()
-        )
-    return {**figures, "achieved": means.tolist(), "error_by_level":
-            np.abs(table - levels[:, None]).mean(axis=1).tolist()}  # fmt: skip
+        found = archive.label_of(nearest.score)
+        figures["error_candidates"] = float(np.abs(found - levels).mean())
+    by_level = np.abs(table - levels[:, None]).mean(axis=1)
+    return {**figures, "achieved": means.tolist(), "error_by_level": by_level.tolist()}
 
 
-def nearest_error(archive: Archive, drawn: Path, levels: Array, candidates: int) -> Array:
-    """Error of the candidate nearest to each level, `(L,)`."""
-    achieved = archive.label_of(drawn.score).reshape(len(levels), candidates)
-    return np.abs(achieved - levels[:, None]).min(axis=1)
-
-
-def plan_milliseconds(modulator: Modulator, scene: Scene, repeats: int = 50) -> float:
+def plan_milliseconds(
+    modulator: Modulator, scene: Scene, repeats: int = 50, **options: Any
+) -> float:
     """Median time [ms] of one plan on one core, after a warm-up."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -164,7 +184,7 @@ def plan_milliseconds(modulator: Modulator, scene: Scene, repeats: int = 50) -> 
         times = []
         for seed in range(repeats + 5):
             start = time.perf_counter()
-            modulator.plan(scene, 0, 0.5, seed=seed)
+            modulator.plan(scene, 0, 0.5, seed=seed, **options)
             times.append(time.perf_counter() - start)
     finally:
         torch.set_num_threads(threads)

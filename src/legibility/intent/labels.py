@@ -64,8 +64,7 @@ def label_knots(scores: ArrayLike, labels: ArrayLike) -> tuple[Array, Array]:
 
 def _mean_rank(values: Array) -> Array:
     """Ranks from 0; equal values share the mean of theirs."""
-    order, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    del order
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(counts) - 1
     return (last - (counts - 1) / 2)[inverse]
 

@@ -73,8 +73,8 @@ def scene_image(
 
     Returns:
         `(3, H, W)` float32 in 2D, `(3·16, H, W)` in 3D with the depth slices as channels: the
-        posterior of the target, its potential (by log(1 + φ)), and the distance to the nearest wall
-        (negative outside, in lengths of the straight line, squashed by tanh).
+        posterior of the target, its potential as log(1 + φ)/2, and the distance d to the nearest
+        wall, negative outside and in lengths of the straight line, as tanh(2d).
     """
     frame = Frame.of(scene, target)
     sizes = (resolution, resolution, DEPTH)[: scene.dim]

@@ -53,8 +53,10 @@ class DistractorEncoder(nn.Module):
 
     def forward(self, distractors: Tensor, there: Tensor) -> Tensor:
         """`distractors (B, M, inputs)`, `there (B, M)` to `(B, size)`."""
-        each = self.each(distractors) * there[..., None]
-        return self.head(torch.cat([each.sum(dim=1) / 2, each.amax(dim=1)], dim=-1))
+        each, missing = self.each(distractors), ~there[..., None]
+        total = each.masked_fill(missing, 0.0).sum(dim=1) / 2
+        most = each.masked_fill(missing, -torch.inf).amax(dim=1)
+        return self.head(torch.cat([total, most], dim=-1))
 
 
 class Residual(nn.Module):

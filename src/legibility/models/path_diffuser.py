@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ..checks import bounded, count, positive
-from ..dataset import NUM_WAYPOINTS
+from ..curves import NUM_WAYPOINTS
 from ..errors import CheckpointError, InvalidInputError
 from ..intent.field import InformationPotentialField
 from ..intent.labels import LABELS
@@ -43,7 +43,9 @@ class PathDiffuserConfig:
             (by asinh), so that small ones are learned as exactly as large ones.
         diffusion_steps: of the noise schedule in training.
         sampling_steps: of the deterministic sampler.
-        guidance: weight w of classifier-free guidance, ε̂ = (1 + w) ε(c) − w ε(∅).
+        guidance: weight w of classifier-free guidance (Ho & Salimans 2022) at ℓ = ±1:
+            v̂ = v(c) + w ℓ⁴ (v(c) − v(∅)). It works at the ends alone, where samples can only err
+            inwards; between them it would overshoot.
     """
 
     dim: int = 2
@@ -56,8 +58,8 @@ class PathDiffuserConfig:
     resolution: int = 32
     squash: float = 0.1
     diffusion_steps: int = 100
-    sampling_steps: int = 4
-    guidance: float = 0.0
+    sampling_steps: int = 2
+    guidance: float = 0.3
 
     def __post_init__(self) -> None:
         if self.dim not in (2, 3):
@@ -132,6 +134,10 @@ class Conditions:
             slopes[i, :others], intercepts[i, :others] = scene_odds(scene, target, field)
         arrays = (np.stack(images), np.stack(vectors), slopes, intercepts)
         return cls(*map(torch.from_numpy, arrays))
+
+    def without_image(self) -> Conditions:
+        """The same with an image of no pixels, for what does not encode the scene."""
+        return Conditions(self.image[:, :0], self.vector, self.slopes, self.intercepts)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Conditions:
         """The same after `function` of each tensor."""
@@ -279,7 +285,7 @@ class PathDiffuser(nn.Module):
             conditions: of `B` scenes, or of one for all.
             level: ℓ, `(B,)`.
             noise: `(B, K, D)` standard normal.
-            guidance: weight w; the configuration's if not given.
+            guidance: weight w at ℓ = ±1; the configuration's if not given.
             steps: of the sampler; the configuration's if not given.
         """
         guidance = self.config.guidance if guidance is None else guidance
@@ -290,13 +296,14 @@ class PathDiffuser(nn.Module):
             drop = torch.zeros_like(level, dtype=torch.bool)
             scene = self.encode_scene(conditions, drop[: len(conditions.vector)])
             contexts.append((self.encode(scene, level, drop), drop))
+        weight = guidance * level[:, None, None] ** 4
         times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
         latent = noise
         for time, after in zip(times, [*times[1:], None], strict=True):
             timestep = torch.full(level.shape, time, device=latent.device)
             velocity, *free = (self(latent, timestep, c, conditions, keep) for c, keep in contexts)
             if free:
-                velocity = velocity + guidance * (velocity - free[0])
+                velocity = velocity + weight * (velocity - free[0])
             signal, rest = self.signal[time].sqrt(), (1 - self.signal[time]).sqrt()
             clean = signal * latent - rest * velocity
             if after is None:

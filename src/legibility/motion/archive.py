@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, count, finite_array, positive, random_seed, target_index
+from ..checks import Array, bounded, count, finite_array, positive, random_seed, target_index
 from ..curves import farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.field import InformationPotentialField
@@ -197,7 +197,7 @@ def build_archive(
         raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {label!r}")
     sigma = DEFAULT_SIGMA[scene.dim] if sigma is None else sigma
     field = InformationPotentialField(scene.goals, sigma)
-    alpha = float(finite_array("alpha", alpha, ndim=0))
+    alpha = bounded("alpha", alpha, 0)
     cells = count("cells", DEFAULT_CELLS[scene.dim] if cells is None else cells, low=2)
     random_candidates = count("random_candidates", random_candidates)
     max_candidates = count("max_candidates", max_candidates, low=random_candidates)

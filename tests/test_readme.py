@@ -1,0 +1,83 @@
+"""What the README says: every command runs, and every number is what the results hold."""
+
+import hashlib
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from legibility.cli import main
+from legibility.evaluation.card import dial_section, render_card
+from legibility.modulator import Modulator, pretrained_folder, pretrained_names
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+
+
+COMMANDS = [
+    line.split("#")[0].strip()
+    for block in blocks("sh")
+    for line in block.splitlines()
+    if line.startswith("legibility ")
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the examples, in which the README's commands run one after another."""
+    folder = tmp_path_factory.mktemp("readme")
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    return folder
+
+
+def test_the_readme_shows_commands():
+    assert len(COMMANDS) >= 5
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands(command, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(shlex.split(command)[1:]) == 0, capsys.readouterr().err
+    for written in re.findall(r"\S+\.(?:png|json)\b", command):
+        assert (folder / written).stat().st_size > 100
+
+
+@pytest.mark.parametrize("code", [*blocks("python"), (ROOT / "examples/plan.py").read_text()])
+def test_python(code, folder):
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout
+
+
+def test_pictures_are_there():
+    for picture in re.findall(r"!\[.*?\]\((.*?)\)", README):
+        assert (ROOT / picture).is_file()
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_tables_and_card_are_what_was_measured_with_these_weights(name):
+    document = json.loads((ROOT / "results" / f"dial-{name}.json").read_text())
+    weights = pretrained_folder(name)
+    digest = hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest()
+    assert document["model"]["sha256"] == digest
+    assert dial_section(document) in README
+    config = json.loads((weights / "config.json").read_text())
+    assert (weights / "README.md").read_text() == render_card(name, config, document)
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_shipped_weights(name):
+    folder = pretrained_folder(name)
+    assert (folder / "path.safetensors").stat().st_size < 6_000_000
+    assert Modulator.from_pretrained(name).name == name
