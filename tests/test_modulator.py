@@ -247,7 +247,8 @@ class TestCandidates:
 class TestOptions:
     def test_guidance(self, modulator, scene):
         plain = modulator.plan(scene, 0, LEVELS).waypoints
-        np.testing.assert_array_equal(modulator.plan(scene, 0, LEVELS, guidance=0).waypoints, plain)
+        own = modulator.plan(scene, 0, LEVELS, guidance=modulator.config.guidance)
+        np.testing.assert_array_equal(own.waypoints, plain)
         guided = modulator.plan(scene, 0, LEVELS, guidance=1.5)
         assert np.abs(guided.waypoints - plain).max() > 1e-3
         assert scene.contains(guided.trajectory(), tolerance=0).all()
@@ -377,6 +378,13 @@ class TestPretrained:
         make(condition=24).save_pretrained(folder.parent / "other")
         (folder.parent / "other" / "path.safetensors").replace(folder / "path.safetensors")
         with pytest.raises(CheckpointError, match="shape"):
+            Modulator.from_pretrained(folder)
+
+    def test_weights_that_were_changed(self, folder):
+        tensors, _ = load_tensors(folder / "path.safetensors")
+        tensors["place.bias"][0] += 1
+        save_tensors(folder / "path.safetensors", tensors)
+        with pytest.raises(CheckpointError, match=r"is not the file that .*config\.json names"):
             Modulator.from_pretrained(folder)
 
     def test_weights_that_are_not_finite(self, folder):

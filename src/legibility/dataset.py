@@ -98,7 +98,7 @@ class DatasetConfig:
             object.__setattr__(self, "cells", DEFAULT_CELLS[self.dim])
         positive("efficiency", self.efficiency)
         bounded("alpha", self.alpha, 0)
-        count("cells", self.cells, low=8)
+        count("cells", self.cells, low=2)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the manifest."""

@@ -126,9 +126,9 @@ class Modulator:
         except (ValueError, KeyError, TypeError, RuntimeError) as cause:
             raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
         weights = folder / "path.safetensors"
-        if weights.is_file() and file_hash(weights) != digest:
-            raise CheckpointError(f"{weights} is not the file that {folder / 'config.json'} names")
         load_state(model, load_tensors(weights)[0], weights)
+        if file_hash(weights) != digest:
+            raise CheckpointError(f"{weights} is not the file that {folder / 'config.json'} names")
         return cls(model, name=folder.resolve().name, training=training)
 
     def save_pretrained(self, folder: str | FilePath) -> None:

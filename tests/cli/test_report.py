@@ -18,8 +18,9 @@ def results(here, weights, cli):
 def test_report(results, cli, capsys):
     assert cli("report results --readme page.md --weights models") == 0
     table = Path("results/dial-tiny.md").read_text().strip()
-    assert table.startswith("| figure | mean over scenes |")
-    assert "Spearman" in table
+    assert "| Spearman correlation of asked and achieved ℓ | " in table
+    assert "2 random scenes with 2 to 6 goals" in table
+    assert "Measured by `legibility evaluate dial" in table
     page = Path("page.md").read_text()
     assert page == f"before\n<!-- dial-tiny -->\n{table}\n<!-- /dial-tiny -->\nafter\n"
     card = Path("models/tiny/README.md").read_text()

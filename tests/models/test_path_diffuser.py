@@ -239,20 +239,21 @@ class TestSample:
 
     def test_guidance_moves_away_from_the_unconditional_path(self):
         model = make()
-        plain = self.sample(model)
-        assert torch.equal(plain, self.sample(model, guidance=0))
-        # ε̂ = (1 + w) ε(c) − w ε(∅): with w = −1 only the unconditional one is left.
-        free = self.sample(model, guidance=-1.0)
-        for level in ((1.0, 0.3, -1.0), (0.0, 0.0, 0.0)):
-            other = self.sample(model, level=level, guidance=-1.0)
-            torch.testing.assert_close(free, other, atol=1e-4, rtol=1e-4)
+        ends, centre = (1.0, -1.0, 1.0), (0.0, 0.0, 0.0)
+        plain = self.sample(model, level=ends, guidance=0.0)
+        # v̂ = v(c) + w (v(c) − v(∅)) at the ends: with w = −1 only the unconditional one is left.
+        free = self.sample(model, level=ends, guidance=-1.0)
+        other = self.sample(model, level=(-1.0, 1.0, -1.0), guidance=-1.0)
+        torch.testing.assert_close(free, other, atol=1e-4, rtol=1e-4)
         assert not torch.allclose(plain, free, atol=1e-3)
-        assert not torch.allclose(plain, self.sample(model, guidance=1.0), atol=1e-3)
+        assert not torch.allclose(plain, self.sample(model, level=ends, guidance=1.0), atol=1e-3)
+        between = [self.sample(model, level=centre, guidance=w) for w in (0.0, 9.0)]
+        torch.testing.assert_close(*between, atol=1e-5, rtol=1e-5)
 
     def test_guidance_of_the_configuration_is_the_default(self):
         model, guided = make(), make(guidance=0.7)
         assert torch.equal(self.sample(guided), self.sample(model, guidance=0.7))
-        assert torch.equal(self.sample(guided, guidance=0.0), self.sample(model))
+        assert torch.equal(self.sample(guided, guidance=0.3), self.sample(model, guidance=0.3))
 
     @pytest.mark.parametrize("steps", [1, 2, 3, 7, 20, 33, 100])
     def test_any_number_of_steps(self, steps):
@@ -317,7 +318,7 @@ class TestSchedule:
                     velocity = model(latent, time.expand(1), context, conditions)
                     latent = scheduler.step(velocity, int(time), latent).prev_sample
                 expected = model.from_latent(latent)
-            found = model.sample(conditions, level, noise(1, 2), steps=steps)
+            found = model.sample(conditions, level, noise(1, 2), steps=steps, guidance=0.0)
             torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
