@@ -14,7 +14,7 @@ from ..dataset import Dataset, generate
 from ..errors import InvalidInputError
 from ..models.path_diffuser import PathDiffuserConfig
 from ..modulator import Modulator
-from ..training import LOG, TrainingConfig, train_path
+from ..training import LOG, TrainingConfig, choose_device, train_path
 from .options import Folder, OutputFile, flags, made
 from .output import (
     check_file,
@@ -84,7 +84,7 @@ def path(
         "training": asdict(settings),
         "parameters": parameters,
         "seconds": last["seconds"],
-        "device": device or ("cuda" if torch.cuda.is_available() else "cpu"),
+        "device": str(choose_device(device)),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }

@@ -1,0 +1,266 @@
+"""How weights are made: one loop that logs, validates, checkpoints and resumes bit for bit.
+
+Every random number of a step comes from the seed and the step's number, so on a CPU a run that was
+killed and resumed with the same number of threads makes the same weights as one that was not.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ..checks import bounded, count, positive, random_seed
+from ..errors import CheckpointError, InvalidInputError, TrainingError
+from ..files import read_text, write_bytes
+from ..models.checkpoint import load_state, load_tensors, save_tensors
+
+__all__ = ["CHECKPOINT", "LOG", "Progress", "TrainingConfig", "choose_device", "train"]
+
+CHECKPOINT = "checkpoint.safetensors"
+LOG = "log.jsonl"
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a model is trained.
+
+    Attributes:
+        steps: optimiser steps.
+        scenes: scenes in a batch.
+        per_scene: trajectories of each scene in a batch.
+        learning_rate: its highest value, after the warm-up; it ends at 0 (cosine).
+        warmup: steps of linear warm-up.
+        weight_decay: of AdamW.
+        dropout: probability that field and ℓ are dropped together, for guidance.
+        score_weight: weight of the loss on the achieved label against that on the velocity.
+        ema: decay of the exponential moving average of the weights, which is what is kept.
+        seed: of the weights and of every batch.
+        validate_every: steps between validations of the dial.
+        checkpoint_every: steps between checkpoints.
+    """
+
+    steps: int = 7000
+    scenes: int = 128
+    per_scene: int = 8
+    learning_rate: float = 1e-3
+    warmup: int = 500
+    weight_decay: float = 1e-4
+    dropout: float = 0.1
+    score_weight: float = 5.0
+    ema: float = 0.999
+    seed: int = 0
+    validate_every: int = 1000
+    checkpoint_every: int = 500
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "scenes", "per_scene", "validate_every", "checkpoint_every"):
+            count(name, getattr(self, name))
+        random_seed("seed", self.seed)
+        count("warmup", self.warmup, low=0)
+        positive("learning_rate", self.learning_rate)
+        bounded("weight_decay", self.weight_decay, 0)
+        bounded("score_weight", self.score_weight, 0)
+        for name in ("dropout", "ema"):
+            if bounded(name, getattr(self, name), 0, 1) == 1:
+                raise InvalidInputError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
+
+
+M = TypeVar("M", bound=nn.Module)
+Progress = Callable[[int, int, dict[str, float]], None]
+
+
+def train(
+    model: M,
+    loss: Callable[[M, torch.Generator], tuple[Tensor, dict[str, Tensor]]],
+    validate: Callable[[M], dict[str, float]],
+    config: TrainingConfig,
+    folder: str | Path,
+    *,
+    identity: dict[str, Any],
+    progress: Progress = lambda step, steps, figures: None,
+) -> M:
+    """Train `model` in `folder`, or go on with it, and return its moving average.
+
+    Args:
+        model: already on the device it shall be trained on.
+        loss: of the model and a generator for all of the step's random numbers: the loss and
+            figures to log.
+        validate: figures of a model, logged every `validate_every` steps.
+        config: how to train.
+        folder: of the checkpoint and the log.
+        identity: what this run is (data, model); a checkpoint of another is refused.
+        progress: called after each step with the steps done, all of them and what was logged, if
+            anything was.
+
+    Raises:
+        CheckpointError: the folder's checkpoint is corrupted or of another run.
+    """
+    folder = Path(folder)
+    average = copy.deepcopy(model).requires_grad_(False).eval()
+    optimizer = torch.optim.AdamW(
+        model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+    )
+    identity = {**identity, "training": asdict(config)}
+    done, seconds = 0, 0.0
+    if (folder / CHECKPOINT).exists():
+        done, seconds = _restore(folder / CHECKPOINT, model, average, optimizer, identity)
+    log = _Log(folder, done)
+    generator = torch.Generator()
+    started = time.perf_counter() - seconds
+    model.train()
+    try:
+        for step in range(done, config.steps):
+            generator.manual_seed(_mix(config.seed, step))
+            for group in optimizer.param_groups:
+                group["lr"] = config.learning_rate * _schedule(step, config)
+            value, figures = loss(model, generator)
+            optimizer.zero_grad(set_to_none=True)
+            value.backward()
+            nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+            optimizer.step()
+            _average(average, model, min(config.ema, (1 + step) / (10 + step)))
+
+            finished = step + 1
+            last = finished == config.steps
+            seconds = time.perf_counter() - started
+            row: dict[str, float] = {}
+            if last or finished % config.checkpoint_every == 0 or finished % 50 == 0:
+                row = {k: float(v) for k, v in {"loss": value.detach(), **figures}.items()}
+                if not math.isfinite(row["loss"]):
+                    raise TrainingError(
+                        f"the loss is {row['loss']} at step {finished}; try a lower learning_rate"
+                    )
+            if last or finished % config.validate_every == 0:
+                row |= validate(average)
+            if row:
+                log.write({"step": finished, "seconds": round(seconds, 3), **row})
+            progress(finished, config.steps, row)
+            if last or finished % config.checkpoint_every == 0:
+                _store(folder / CHECKPOINT, model, average, optimizer, identity, finished, seconds)
+    finally:
+        log.close()
+    return average
+
+
+@torch.no_grad()
+def _average(average: nn.Module, model: nn.Module, decay: float) -> None:
+    """Exponential moving average of the weights; it forgets faster in the first steps."""
+    for old, new in zip(average.parameters(), model.parameters(), strict=True):
+        old.lerp_(new, 1 - decay)
+
+
+def _mix(seed: int, step: int) -> int:
+    """One number from two, without patterns from step to step."""
+    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1)
+
+
+def _schedule(step: int, config: TrainingConfig) -> float:
+    if step < config.warmup:
+        return (step + 1) / config.warmup
+    progress = (step - config.warmup) / max(1, config.steps - config.warmup)
+    return 0.5 * (1 + math.cos(math.pi * progress))
+
+
+def _store(
+    path: Path,
+    model: nn.Module,
+    average: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    identity: dict[str, Any],
+    step: int,
+    seconds: float,
+) -> None:
+    tensors = {f"model.{k}": v for k, v in model.state_dict().items()}
+    tensors |= {f"average.{k}": v for k, v in average.state_dict().items()}
+    for index, state in optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{index}.{k}": v for k, v in state.items()}
+    save_tensors(path, tensors, {**identity, "step": step, "seconds": seconds})
+
+
+def _restore(
+    path: Path,
+    model: nn.Module,
+    average: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    identity: dict[str, Any],
+) -> tuple[int, float]:
+    tensors, header = load_tensors(path)
+    try:
+        step, seconds = header.pop("step"), header.pop("seconds")
+    except (AttributeError, KeyError, TypeError) as cause:
+        raise CheckpointError(f"{path} is not a training checkpoint") from cause
+    if header != json.loads(json.dumps(identity)):
+        changed = [k for k in identity if header.get(k) != json.loads(json.dumps(identity[k]))]
+        raise CheckpointError(f"{path} is of another run ({', '.join(changed)} differ)")
+    groups: dict[str, dict[str, Tensor]] = {"model": {}, "average": {}, "optimizer": {}}
+    for name, tensor in tensors.items():
+        head, rest = name.split(".", 1)
+        groups[head][rest] = tensor
+    load_state(model, groups["model"], path)
+    load_state(average, groups["average"], path)
+    state: dict[int, dict[str, Tensor]] = {}
+    for index, parameter in enumerate(model.parameters()):
+        shapes = {"step": (), "exp_avg": parameter.shape, "exp_avg_sq": parameter.shape}
+        state[index] = {}
+        for key, shape in shapes.items():
+            tensor = groups["optimizer"].get(f"{index}.{key}")
+            if tensor is None or tensor.shape != shape or not torch.isfinite(tensor).all():
+                raise CheckpointError(f"{path}: optimizer.{index}.{key} is missing or broken")
+            state[index][key] = tensor
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+    return step, seconds
+
+
+class _Log:
+    """JSONL always, TensorBoard where it is installed; rows after the checkpoint are dropped."""
+
+    def __init__(self, folder: Path, done: int) -> None:
+        self._path = folder / LOG
+        text = read_text(self._path, "log", CheckpointError) if self._path.exists() else ""
+        whole = [row for row in text.splitlines() if row.endswith("}")]
+        try:
+            self._rows = [row for row in whole if json.loads(row)["step"] <= done]
+        except (ValueError, LookupError, TypeError) as cause:
+            raise CheckpointError(f"{self._path} is not a training log") from cause
+        self._save()
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            self._board = None
+        else:
+            self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=done + 1)
+
+    def write(self, row: dict[str, float]) -> None:
+        self._rows.append(json.dumps(row))
+        self._save()
+        if self._board is not None:
+            for name in row.keys() - {"step"}:
+                self._board.add_scalar(name, row[name], int(row["step"]))
+
+    def _save(self) -> None:
+        write_bytes(self._path, "".join(row + "\n" for row in self._rows).encode())
+
+    def close(self) -> None:
+        if self._board is not None:
+            self._board.close()
+
+
+def choose_device(name: str | None) -> torch.device:
+    """The device `name`, or a GPU where there is one."""
+    try:
+        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as cause:
+        reason = str(cause).splitlines()[0]
+        raise InvalidInputError(f"device {name!r} cannot be used here: {reason}") from cause
+    return device

@@ -1,0 +1,221 @@
+"""How stage 1 is trained: its batches, its loss, and the dial on validation scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..curves import NUM_WAYPOINTS, spline_matrix
+from ..dataset import LABEL_KNOTS, Dataset
+from ..errors import InvalidInputError
+from ..intent.metrics import SCORE_POINTS
+from ..models.frame import Frame
+from ..models.path_diffuser import Conditions, PathDiffuser, PathDiffuserConfig, noise_schedule
+from .loop import Progress, TrainingConfig, choose_device, train
+
+__all__ = ["FrameScorer", "PathBatches", "train_path", "validate_dial"]
+
+_LEAST_COST = 1e-30
+
+
+class PathBatches:
+    """The dataset as tensors on a device, and the loss of stage 1 over random batches of it."""
+
+    def __init__(
+        self, data: Dataset, model: PathDiffuser, config: TrainingConfig, device: torch.device
+    ) -> None:
+        self.config = config
+        self.device = device
+        scenes = data.scenes
+        self.conditions = model.conditions(scenes, [0] * len(scenes)).map(lambda x: x.to(device))
+        frames = [Frame.of(scene, 0) for scene in scenes]
+        waypoints = np.stack(
+            [f.world_to_frame(w) for f, w in zip(frames, data.waypoints, strict=True)]
+        )
+        self.waypoints = torch.from_numpy(waypoints.astype(np.float32)).to(device)
+        self.labels = torch.tensor(data.labels, device=device)
+        self.scorer = FrameScorer(data, self.conditions)
+
+    def loss(
+        self, model: PathDiffuser, generator: torch.Generator
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Squared error of the velocity, and smooth L1 of the denoised path's achieved label."""
+        config, steps = self.config, model.config.diffusion_steps
+        num, per = config.scenes, config.per_scene
+        scenes = torch.randint(len(self.labels), (num,), generator=generator)
+        chosen = torch.randint(self.labels.shape[1], (num, per), generator=generator)
+        timestep = torch.randint(steps, (num * per,), generator=generator)
+        noise = torch.randn(num * per, *self.waypoints.shape[2:], generator=generator)
+        keep = torch.rand(num, generator=generator) >= config.dropout
+        scenes, chosen, timestep, noise, keep = (
+            x.to(self.device) for x in (scenes, chosen, timestep, noise, keep)
+        )
+        each = scenes.repeat_interleave(per)
+        waypoints = self.waypoints[each, chosen.flatten()]
+        label = self.labels[each, chosen.flatten()]
+
+        clean = model.to_latent(waypoints)
+        signal = model.signal[timestep, None, None]
+        noisy = signal.sqrt() * clean + (1 - signal).sqrt() * noise
+        velocity = signal.sqrt() * noise - (1 - signal).sqrt() * clean
+        scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), keep)
+        kept = keep.repeat_interleave(per)
+        context = model.encode(scene.repeat_interleave(per, 0), label, kept)
+        conditions = self.conditions.without_image().map(lambda x: x[each])
+        predicted = model(noisy, timestep, context, conditions, kept)
+        velocity_loss = F.mse_loss(predicted, velocity)
+        if not config.score_weight:
+            return velocity_loss, {"velocity": velocity_loss.detach()}
+
+        # What the path would achieve if denoised at once. Under much noise that is a mean over many
+        # paths, whose label says little: it counts by the signal squared, and not under the most.
+        clear = torch.nonzero(kept & (signal[:, 0, 0] > 0.2))[:, 0]
+        estimate = (signal.sqrt() * noisy - (1 - signal).sqrt() * predicted)[clear]
+        achieved = self.scorer.label(
+            conditions.map(lambda x: x[clear]), each[clear], model.from_latent(estimate)
+        )
+        weight = signal[clear, 0, 0] ** 2
+        error = F.smooth_l1_loss(achieved, label[clear], beta=0.1, reduction="none")
+        label_loss = (weight * error).sum() / weight.sum().clamp_min(1e-6)
+        total = velocity_loss + config.score_weight * label_loss
+        return total, {"velocity": velocity_loss.detach(), "label": label_loss.detach()}
+
+    @torch.no_grad()
+    def spread(self, model: PathDiffuser) -> Tensor:
+        """`(K, D)`: standard deviation of the latent about the straight line, over the data."""
+        return (model.to_latent(self.waypoints) * model.spread).square().mean((0, 1)).sqrt()
+
+
+class FrameScorer:
+    """`legibility_score` and its label in PyTorch, differentiable, in the start–target frame."""
+
+    def __init__(self, data: Dataset, conditions: Conditions) -> None:
+        def tensor(array: np.ndarray) -> Tensor:
+            return torch.tensor(array, dtype=torch.float32, device=conditions.vector.device)
+
+        # In the logarithm, since a scene may be so clear that its whole legible side lies within
+        # a millionth of its scores.
+        knots = -np.log(np.maximum(-data.score_at_label, _LEAST_COST))
+        self.knots = tensor(np.maximum.accumulate(knots, axis=1))
+        self.values = tensor(LABEL_KNOTS)
+        self.alpha = data.config.alpha
+        self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, SCORE_POINTS))
+        self.ends = tensor(np.eye(2, data.config.dim, k=-1))
+
+    def score(self, conditions: Conditions, waypoints: Tensor) -> Tensor:
+        """`(B,)` of waypoints `(B, K, D)` in the start–target frames of `B` scenes."""
+        ends = self.ends.expand(len(waypoints), -1, -1)
+        path = torch.cat([ends[:, :1], waypoints, ends[:, 1:]], dim=1)
+        points = self.spline @ path
+        potential, _ = conditions.potential(points)
+        steps = (points.diff(dim=1).square().sum(-1) + 1e-12).sqrt()
+        progress = F.pad(steps.cumsum(1), (1, 0)) / steps.sum(1, keepdim=True)
+        decay = torch.exp(-self.alpha * progress)
+        width = progress.diff(dim=1) / 2
+        weighted = decay * potential
+        total = ((weighted[:, 1:] + weighted[:, :-1]) * width).sum(1)
+        return -total / ((decay[:, 1:] + decay[:, :-1]) * width).sum(1)
+
+    def label(self, conditions: Conditions, scenes: Tensor, waypoints: Tensor) -> Tensor:
+        """The achieved label `(B,)`, extrapolated beyond ±1 so that its gradient never ends.
+
+        Args:
+            conditions: of the `B` scenes.
+            scenes: their indices `(B,)` in the data.
+            waypoints: `(B, K, D)` in their start–target frames.
+        """
+        score = -torch.log((-self.score(conditions, waypoints)).clamp_min(_LEAST_COST))
+        knots = self.knots[scenes]
+        right = torch.searchsorted(knots, score.detach()[:, None]).clamp(1, len(self.values) - 1)
+        low, high = knots.gather(1, right - 1)[:, 0], knots.gather(1, right)[:, 0]
+        span = (high - low).clamp_min(1e-5 * (knots[:, -1] - knots[:, 0]))
+        right = right[:, 0]
+        step = self.values[1] - self.values[0]
+        return self.values[right - 1] + (score - low) / span * step
+
+
+def train_path(
+    data: Dataset,
+    validation: Dataset,
+    folder: str | Path,
+    config: TrainingConfig | None = None,
+    *,
+    device: str | None = None,
+    progress: Progress = lambda step, steps, figures: None,
+    **settings: Any,
+) -> PathDiffuser:
+    """Train stage 1 on `data`, validated on the scenes of `validation`.
+
+    Args:
+        data: labelled trajectories.
+        validation: of another seed stream; its scenes measure the dial while training.
+        folder: of the checkpoint and the log; an interrupted run goes on from there.
+        config: how to train.
+        device: where to; a GPU where there is one.
+        progress: see `train`.
+        **settings: of `PathDiffuserConfig`, but those that the data fixes.
+
+    Returns:
+        The trained model, on the CPU.
+    """
+    config = config or TrainingConfig()
+    settings |= {name: getattr(data.config, name) for name in ("dim", "sigma", "alpha", "label")}
+    if "evaluation" in (data.config.stream, validation.config.stream):
+        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
+    for name, value in settings.items():
+        found = getattr(validation.config, name, value)
+        if found != value:
+            raise InvalidInputError(f"the validation data have {name} {found}, the data {value}")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        model = PathDiffuser(PathDiffuserConfig(**settings))
+    where = choose_device(device)
+    batches = PathBatches(data, model, config, where)
+    model = model.to(where)
+    model.signal.copy_(noise_schedule(model.config.diffusion_steps))
+    model.spread.copy_(batches.spread(model))
+    checks = PathBatches(validation, model, config, where)
+    identity = {"model": model.config.to_dict(), "data": data.digest}
+    trained = train(
+        model,
+        batches.loss,
+        lambda m: validate_dial(m, checks),
+        config,
+        folder,
+        identity=identity,
+        progress=progress,
+    )
+    return trained.to("cpu")
+
+
+@torch.no_grad()
+def validate_dial(
+    model: PathDiffuser, checks: PathBatches, levels: int = 11, samples: int = 2
+) -> dict[str, float]:
+    """The dial on validation scenes: Spearman and error of the achieved label, mean over scenes."""
+    from scipy.stats import spearmanr
+
+    scenes = torch.arange(len(checks.labels), device=checks.device)
+    asked = torch.linspace(-1, 1, levels, device=checks.device).repeat_interleave(samples)
+    shape = (len(scenes), len(asked), *checks.waypoints.shape[2:])
+    noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(checks.device)
+    achieved = torch.empty(len(scenes), len(asked), device=checks.device)
+    for column, level in enumerate(asked):
+        waypoints = model.sample(checks.conditions, level.expand(len(scenes)), noise[:, column])
+        label = checks.scorer.label(checks.conditions, scenes, waypoints)
+        achieved[:, column] = label.clamp(-1, 1)
+    found = achieved.cpu().numpy()
+    wanted = asked.cpu().numpy()
+    ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in found])
+    return {
+        "validation_spearman": float(ranks.mean()),
+        "validation_spearman_worst": float(ranks.min()),
+        "validation_error": float(np.abs(found - wanted).mean()),
+        "validation_at_1": float(found[:, -samples:].mean()),
+        "validation_at_-1": float(found[:, :samples].mean()),
+    }
