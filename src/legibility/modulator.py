@@ -165,7 +165,7 @@ class Modulator:
             num_candidates: paths drawn for each ℓ; all are scored exactly and the one whose
                 achieved label is nearest to ℓ is returned. More than one needs the scene's archive,
                 which is built once (about 0.15 s) and kept.
-            guidance: weight of classifier-free guidance; the model's own if not given.
+            guidance: weight of classifier-free guidance at ±1; the model's own if not given.
             steps: of the sampler; the model's own if not given.
 
         Raises:

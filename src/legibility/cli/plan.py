@@ -43,7 +43,7 @@ def plan(
         model: name of weights that came with the package, or a folder.
         seed: of the paths drawn.
         candidates: paths drawn for each level; the one nearest to what was asked is kept.
-        guidance: weight of classifier-free guidance; the model's own if not given.
+        guidance: weight of classifier-free guidance at ±1; the model's own if not given.
         steps: of the sampler; the model's own if not given.
         points: of each trajectory written.
         figure: a picture of the paths, .png, .pdf or .svg.

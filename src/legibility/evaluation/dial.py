@@ -68,7 +68,7 @@ class DialConfig:
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
         candidates: paths drawn for the nearest of them, measured besides; 0 leaves it out.
-        guidance: weight of classifier-free guidance; the model's own if not given.
+        guidance: weight of classifier-free guidance at ±1; the model's own if not given.
         steps: of the sampler; the model's own if not given.
     """
 
@@ -112,6 +112,9 @@ def evaluate_dial(
         alpha=modulator.config.alpha,
     )
     levels = np.round(np.linspace(-1, 1, config.levels), 12)
+    plan_ms = plan_milliseconds(
+        modulator, source.scene(0)[0], guidance=config.guidance, steps=config.steps
+    )
     rows = []
     progress(0, config.scenes)
     for index in range(config.scenes):
@@ -123,9 +126,7 @@ def evaluate_dial(
     return {
         "overall": {name: summary(np.array([row[name] for row in rows])) for name in names},
         "levels": levels.tolist(),
-        "plan_ms": plan_milliseconds(
-            modulator, source.scene(0)[0], guidance=config.guidance, steps=config.steps
-        ),
+        "plan_ms": plan_ms,
         "scenes": rows,
     }
 
@@ -170,12 +171,16 @@ def _measure(
         )
         found = archive.label_of(nearest.score)
         figures["error_candidates"] = float(np.abs(found - levels).mean())
-    by_level = np.abs(table - levels[:, None]).mean(axis=1)
-    return {**figures, "achieved": means.tolist(), "error_by_level": by_level.tolist()}
+    by_level = {
+        "achieved": means,
+        "error_by_level": np.abs(table - levels[:, None]).mean(axis=1),
+        "drawn_inside_by_level": 1 - path.clipped.reshape(table.shape).mean(axis=1),
+    }
+    return {**figures, **{name: values.tolist() for name, values in by_level.items()}}
 
 
 def plan_milliseconds(
-    modulator: Modulator, scene: Scene, repeats: int = 50, **options: Any
+    modulator: Modulator, scene: Scene, repeats: int = 200, **options: Any
 ) -> float:
     """Median time [ms] of one plan on one core, after a warm-up."""
     threads = torch.get_num_threads()

@@ -109,7 +109,7 @@ class Conditions:
         vector: `(B, V)`, see `scene_vector`.
         slopes: `(B, M, D)` and
         intercepts: `(B, M)` of the distractors' log odds, see `scene_odds`; scenes with fewer than
-            M distractors are filled up with odds of zero.
+            M distractors are filled up with log odds so low that they do not count.
     """
 
     image: Tensor
@@ -294,7 +294,8 @@ class PathDiffuser(nn.Module):
         ]
         if guidance:
             drop = torch.zeros_like(level, dtype=torch.bool)
-            scene = self.encode_scene(conditions, drop[: len(conditions.vector)])
+            # What `encode_scene` gives where the field is dropped, without drawing on the image.
+            scene = self.scene(self.no_field + self.place(conditions.vector))
             contexts.append((self.encode(scene, level, drop), drop))
         weight = guidance * level[:, None, None] ** 4
         times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
