@@ -204,14 +204,14 @@ class TestProtocol:
         fake = Fake(perfect)
         evaluate_dial(fake, DialConfig(scenes=1, levels=5, samples=2, candidates=3))
         levels = np.linspace(-1, 1, 5)
-        np.testing.assert_allclose(fake.asked[0], np.repeat(levels, 2), atol=1e-12)
-        np.testing.assert_allclose(fake.asked[1], levels, atol=1e-12)
+        np.testing.assert_allclose(fake.asked[-2], np.repeat(levels, 2), atol=1e-12)
+        np.testing.assert_allclose(fake.asked[-1], levels, atol=1e-12)
 
     def test_guidance_and_steps_are_handed_on(self):
         fake = Fake(perfect)
         config = DialConfig(scenes=1, levels=3, samples=1, candidates=1, guidance=0.5, steps=7)
         evaluate_dial(fake, config)
-        assert fake.options[:2] == [(0.5, 7)] * 2
+        assert set(fake.options) == {(0.5, 7)}
 
     def test_progress(self):
         seen = []
@@ -278,7 +278,7 @@ class TestReport:
             tiny, "plan", lambda *a, seed, **k: seeds.append(seed) or plan(*a, seed=seed, **k)
         )
         evaluate_dial(tiny, dataclasses.replace(SMALL, scenes=1))
-        path = plan(scene, 0, asked, seed=seeds[0])
+        path = plan(scene, 0, asked, seed=seeds[-2])
         achieved = archive.label_of(path.score)
         row = found["scenes"][0]
         assert row["error"] == pytest.approx(np.abs(achieved - asked).mean())
