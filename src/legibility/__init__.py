@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from . import envs as envs  # registers the Gymnasium environments; making one loads its code
 from . import errors
 from .intent import labels, metrics
 from .intent.field import InformationPotentialField
@@ -12,7 +13,9 @@ from .motion.archive import Archive, build_archive
 from .scene import Scene
 
 if TYPE_CHECKING:
-    from .modulator import Modulator, Path
+    from .execution import Rollout
+    from .modulator import Modulator
+    from .path import Path
 
 __version__ = "0.1.0"
 
@@ -21,6 +24,7 @@ __all__ = [
     "InformationPotentialField",
     "Modulator",
     "Path",
+    "Rollout",
     "Scene",
     "__version__",
     "build_archive",
@@ -29,7 +33,8 @@ __all__ = [
     "metrics",
 ]
 
-_LAZY = {"Modulator": "modulator", "Path": "modulator"}  # these load torch
+_LAZY = {"Modulator": "modulator", "Path": "path", "Rollout": "execution"}
+"""Loaded when asked for, since these take long (two of them load torch)."""
 
 
 def __getattr__(name: str) -> Any:
