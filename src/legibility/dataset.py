@@ -7,36 +7,30 @@ or not there, so an interrupted run goes on where it stopped.
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from .checks import Array, bounded, count, positive, random_seed
 from .curves import NUM_WAYPOINTS, arc_length, path_curve
 from .errors import DatasetError, InvalidInputError
-from .files import atomic_path, file_hash, read_text, write_json
 from .intent.labels import LABELS
 from .intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
 from .motion.archive import DEFAULT_CELLS, Archive, build_archive
 from .motion.bezier import bezier_trajectories
 from .scene import DEFAULT_SIGMA, STREAMS, Scene, stream_seed
+from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, write_shard
 
 __all__ = ["Dataset", "DatasetConfig", "generate", "select"]
 
 LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, so that a score can be read as a label later."""
 
-_SHARD = 64
-_FORMAT = 1
 _MANIFEST = "manifest.json"
-_CONFIG = b"legibility.config"
 
 
 @dataclass(frozen=True)
@@ -130,7 +124,7 @@ class DatasetConfig:
     @property
     def shard_names(self) -> list[str]:
         """File names of all shards."""
-        return [f"{self.stream}-{i:05d}.parquet" for i in range(-(-self.scenes // _SHARD))]
+        return [f"{self.stream}-{i:05d}.parquet" for i in range(-(-self.scenes // SHARD))]
 
 
 def paths_of(archive: Archive) -> Array:
@@ -200,26 +194,10 @@ def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
     }
 
 
-def _write_shard(config: DatasetConfig, folder: Path, number: int) -> None:
-    first = number * _SHARD
-    rows = [_row(config, i) for i in range(first, min(first + _SHARD, config.scenes))]
-    columns = {name: pa.array([row[name] for row in rows]) for name in rows[0]}
-    with atomic_path(folder / config.shard_names[number]) as temporary:
-        table = pa.table(columns).replace_schema_metadata({_CONFIG: _canonical(config)})
-        pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
-
-
-def _canonical(config: DatasetConfig) -> bytes:
-    return json.dumps(config.to_dict(), sort_keys=True).encode()
-
-
-def _is_whole(path: Path, config: DatasetConfig) -> bool:
-    """Whether `path` is a shard of `config` that can be read, so that a run may go on from it."""
-    try:
-        metadata = pq.read_table(path, page_checksum_verification=True).schema.metadata or {}
-    except (OSError, pa.ArrowException):
-        return False
-    return metadata.get(_CONFIG) == _canonical(config)
+def _write(config: DatasetConfig, path: Path, number: int) -> None:
+    first = number * SHARD
+    rows = [_row(config, i) for i in range(first, min(first + SHARD, config.scenes))]
+    write_shard(path, rows, config.to_dict())
 
 
 def generate(
@@ -227,7 +205,7 @@ def generate(
     folder: str | Path,
     *,
     workers: int = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ShardProgress = lambda done, total: None,
 ) -> Dataset:
     """Make the dataset in `folder`, or go on with it; the same bytes for any number of workers.
 
@@ -241,36 +219,12 @@ def generate(
         DatasetError: the folder holds a dataset of another configuration.
         OutputError: the folder cannot be written.
     """
-    from joblib import Parallel, delayed
-
-    count("workers", workers)
     folder = Path(folder)
-    if (folder / _MANIFEST).exists():
-        found = _read_manifest(folder)
-        if found["config"] != config.to_dict():
-            raise DatasetError(
-                f"{folder} holds a dataset of another configuration; choose another folder"
-            )
-        if found["complete"]:
-            return Dataset.load(folder)
-    manifest = {"format": _FORMAT, "config": config.to_dict(), "complete": False}
-    write_json(folder / _MANIFEST, manifest)
-
-    for leftover in folder.glob(".*.parquet"):  # of a run that was killed
-        leftover.unlink()
-    names = config.shard_names
-    missing = [i for i, name in enumerate(names) if not _is_whole(folder / name, config)]
-    progress(len(names) - len(missing), len(names))
-    run = Parallel(n_jobs=workers, return_as="generator_unordered")
-    results = run(delayed(_write_shard)(config, folder, i) for i in missing)
-    for done, _ in enumerate(results, len(names) - len(missing) + 1):  # pyright: ignore
-        progress(done, len(names))
-
-    shards = [{"name": n, "sha256": file_hash(folder / n)} for n in names]
     counts = {"scenes": config.scenes, "trajectories": config.scenes * config.per_scene}
-    write_json(
-        folder / _MANIFEST, {**manifest, "complete": True, "counts": counts, "shards": shards}
-    )
+    make_shards(
+        folder, _MANIFEST, config.to_dict(), config.shard_names, partial(_write, config), counts,
+        workers=workers, progress=progress,
+    )  # fmt: skip
     return Dataset.load(folder)
 
 
@@ -307,38 +261,25 @@ class Dataset:
         Raises:
             DatasetError: it is missing, incomplete or changed since it was written.
         """
-        folder = Path(folder)
-        manifest = _read_manifest(folder)
-        if not manifest["complete"]:
-            raise DatasetError(f"{folder} is not complete; run the same `legibility data` again")
+        content, digest, table = read_shards(Path(folder), _MANIFEST, "legibility data")
         try:
-            return cls._read(folder, manifest)
-        except DatasetError:
-            raise
+            return cls.of_table(DatasetConfig.from_dict(content), digest, table)
         except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
             raise DatasetError(f"{folder} has a manifest that is not its own") from cause
 
     @classmethod
-    def _read(cls, folder: Path, manifest: dict[str, Any]) -> Dataset:
-        config = DatasetConfig.from_dict(manifest["config"])
-        tables, digest = [], hashlib.sha256()
-        for shard in manifest["shards"]:
-            path = folder / shard["name"]
-            if not path.exists() or file_hash(path) != shard["sha256"]:
-                raise DatasetError(f"{path} is missing or not as it was written")
-            digest.update(shard["sha256"].encode())
-            tables.append(pq.read_table(path))
-        table = pa.concat_tables(tables).combine_chunks()
-        dim, size, num = config.dim, config.scenes, config.per_scene
+    def of_table(cls, config: DatasetConfig, digest: str, table: pa.Table) -> Dataset:
+        """The scenes of `table`, rows of this configuration's shards."""
+        dim, size, num = config.dim, table.num_rows, config.per_scene
 
         def dense(name: str, *shape: int) -> np.ndarray:
-            return _flat(table[name]).reshape(size, *shape)
+            return flat(table[name]).reshape(size, *shape)
 
         goals = [np.asarray(g).reshape(-1, dim) for g in table["goals"].to_pylist()]
         starts, corners = dense("start", dim), dense("workspace", 2, dim)
         return cls(
             config=config,
-            digest=digest.hexdigest(),
+            digest=digest,
             scenes=[Scene(*args) for args in zip(starts, goals, corners, strict=True)],
             controls=dense("controls", num, 4, dim),
             waypoints=dense("waypoints", num, NUM_WAYPOINTS, dim),
@@ -350,21 +291,3 @@ class Dataset:
                 for name in ("elites", "candidates", "coverage", "straight_score")
             },
         )
-
-
-def _flat(column: pa.ChunkedArray) -> np.ndarray:
-    """All numbers of a list column, one after another."""
-    return column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
-
-
-def _read_manifest(folder: Path) -> dict[str, Any]:
-    text = read_text(folder / _MANIFEST, "dataset manifest", DatasetError)
-    try:
-        manifest = json.loads(text)
-        if not {"config", "complete"} <= manifest.keys():
-            raise KeyError("config")
-        if manifest["format"] != _FORMAT:
-            raise DatasetError(f"{folder} has dataset format {manifest['format']}, not {_FORMAT}")
-        return manifest
-    except (ValueError, KeyError, TypeError, AttributeError) as cause:
-        raise DatasetError(f"{folder / _MANIFEST} is not a dataset manifest") from cause

@@ -14,7 +14,14 @@ from .checks import Array, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
 from .files import read_text, write_bytes, write_json
 
-__all__ = ["DEFAULT_SIGMA", "DEFAULT_WORKSPACE", "STREAMS", "Scene", "stream_seed"]
+__all__ = [
+    "DEFAULT_SIGMA",
+    "DEFAULT_WORKSPACE",
+    "MIN_SEPARATION",
+    "STREAMS",
+    "Scene",
+    "stream_seed",
+]
 
 DEFAULT_WORKSPACE = {
     2: ((-0.1, -0.1), (1.1, 1.1)),
@@ -28,9 +35,12 @@ DEFAULT_SIGMA = {2: 0.15, 3: 0.08}
 STREAMS = ("train", "validation", "evaluation")
 """Seed streams that never meet: what a model learned from, was tuned on, and is reported on."""
 
-_USES = ("scene", "archive", "choice", "plan")
+_USES = ("scene", "archive", "choice", "plan", "demonstration")
+MIN_SEPARATION = 0.12
+"""Least distance of two goals of a random scene, as a share of the workspace's diagonal; the start
+keeps twice that from the target."""
+
 _BLOCK_HEIGHT = 0.04
-_MIN_SEPARATION = 0.12
 _COINCIDENT = 1e-6
 
 
@@ -224,7 +234,7 @@ class Scene:
             raise InvalidInputError(f"num_goals must be from 2 to 12, got {num_goals}")
         target = target_index(target, num_goals)
         low, high = np.array(DEFAULT_WORKSPACE[dim])
-        gap = _MIN_SEPARATION * np.linalg.norm(high - low)
+        gap = MIN_SEPARATION * np.linalg.norm(high - low)
         pairs = np.triu_indices(num_goals + 1, k=1)
         while True:  # the target's rule makes rejection of whole scenes the unbiased way
             points = rng.uniform(low, high, size=(num_goals + 1, dim))
@@ -242,7 +252,7 @@ def stream_seed(stream: str, seed: int, index: int, use: str) -> np.random.SeedS
         stream: one of `STREAMS`.
         seed: of the dataset or evaluation.
         index: of the item.
-        use: `scene`, `archive`, `choice` (of trajectories) or `plan`.
+        use: `scene`, `archive`, `choice` (of trajectories), `plan` or `demonstration`.
     """
     key = _USES.index(use)
     return np.random.SeedSequence([STREAMS.index(stream), seed, index], spawn_key=(key,))

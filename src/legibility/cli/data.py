@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,17 +11,20 @@ from rich.table import Table
 from tyro.conf import arg
 
 from ..dataset import Dataset, DatasetConfig, generate
+from ..demonstrations import DEMONSTRATIONS, Demonstrations, DemonstrationsConfig, demonstrate
 from ..errors import InvalidInputError
 from .options import Folder, OutputFile, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
 
 _Flags = flags(DatasetConfig)
+_Demonstrations = flags(DemonstrationsConfig)
 _BINS = 20
 _BAR = 40
 
 
 def data(
     dataset: Annotated[Any, arg(constructor=_Flags)],
+    controller: Annotated[Any, arg(constructor=_Demonstrations)],
     out: Folder = None,
     workers: int = 1,
     info: Folder = None,
@@ -30,10 +34,13 @@ def data(
     """Make a dataset of labelled trajectories, or describe one.
 
     With --out DIR it is made: the same bytes for any number of workers. Interrupted, the same
-    command goes on where it stopped. With --info DIR it is described.
+    command goes on where it stopped. With --info DIR it is described. With --demonstrations N a
+    feedback controller then follows N paths of each scene in the environment; its states and
+    actions are stored beside them.
 
     Args:
         dataset: what the dataset is made of.
+        controller: what the demonstrations are made of.
         out: folder of the dataset to make.
         workers: processes.
         info: folder of a dataset to describe.
@@ -45,15 +52,19 @@ def data(
     check_file(json, "JSON file")
     if out is not None:
         settings = made(DatasetConfig, dataset)
+        shown = made(DemonstrationsConfig, controller)
         if figure is not None:
             raise InvalidInputError("--figure belongs to --info")
         check_folder(out, "dataset")
         with progress_bar("shards") as progress:
             made_or_read = generate(settings, out, workers=workers, progress=progress)
+        if shown.demonstrations:
+            with progress_bar("shards of demonstrations") as progress:
+                demonstrate(out, shown, workers=workers, progress=progress)
         folder = out
     else:
         assert info is not None
-        if dataset != _Flags():
+        if dataset != _Flags() or controller != _Demonstrations():
             raise InvalidInputError("--info describes a dataset as it was made; leave the rest out")
         folder = info
         made_or_read = Dataset.load(folder)
@@ -91,6 +102,24 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
         "elites": {"mean": summary["elites"].mean(), "min": summary["elites"].min()},
         "candidates": {"mean": summary["candidates"].mean(), "max": summary["candidates"].max()},
         "labels": {"edges": edges, "counts": counts},
+        **_demonstrated(folder),
+    }
+
+
+def _demonstrated(folder: Path) -> dict[str, Any]:
+    """Of the demonstrations in `folder`, if there are any."""
+    if not (folder / DEMONSTRATIONS).exists():
+        return {}
+    found = Demonstrations.load(folder)
+    steps = np.array([len(actions) for actions in found.actions])
+    return {
+        "demonstrations": {
+            **asdict(found.config),
+            "number": len(found),
+            "pushed": found.pushed.sum(),
+            "steps": {"mean": steps.mean(), "max": steps.max()},
+            "sha256": found.digest,
+        }
     }
 
 
@@ -110,6 +139,15 @@ def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list
     )
     facts.add_row("size", f"{result['bytes'] / 1e6:.3g} MB")
     facts.add_row("sha256", result["sha256"])
+    if demonstrations := result.get("demonstrations"):
+        facts.add_section()
+        steps = demonstrations["steps"]
+        facts.add_row(
+            "demonstrations",
+            f"{demonstrations['number']}, {demonstrations['pushed']} of them with a push",
+        )
+        facts.add_row("steps of each", f"{steps['mean']:.1f} (most {steps['max']})")
+        facts.add_row("sha256", demonstrations["sha256"])
 
     goals = {str(n): int(k) for n, k in result["goals"].items()}
     edges, counts = result["labels"]["edges"], result["labels"]["counts"]

@@ -1,0 +1,251 @@
+"""Demonstrations on disk: a feedback controller follows a dataset's paths in the environment.
+
+They lie beside the dataset that they are of, under the same rules, a row a demonstration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from .checks import Array, bounded, count
+from .curves import NUM_WAYPOINTS
+from .dataset import Dataset, DatasetConfig
+from .envs.block_reach_2d import BlockReach2DVector
+from .envs.guard import safe_actions
+from .errors import DatasetError, InvalidInputError
+from .motion.tracking import PathTracker, feedback_action
+from .scene import stream_seed
+from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, write_shard
+
+__all__ = ["DEMONSTRATIONS", "Demonstrations", "DemonstrationsConfig", "demonstrate"]
+
+DEMONSTRATIONS = "demonstrations.json"
+"""File name of the manifest, beside that of the dataset."""
+
+
+@dataclass(frozen=True)
+class DemonstrationsConfig:
+    """What demonstrations are made of; together with the dataset and the code it fixes every byte.
+
+    Attributes:
+        demonstrations: how many of each scene; 0 makes none.
+        demonstrated: of how many scenes of the dataset, the first ones; 0 means all.
+        noise: standard deviation of each step's displacement [m], so that states beside the path
+            are seen, and how to get back.
+        pushed: share of the demonstrations with one push.
+        push: how far the robot is pushed [m].
+    """
+
+    demonstrations: int = 0
+    demonstrated: int = 0
+    noise: float = 0.003
+    pushed: float = 0.25
+    push: float = 0.1
+
+    def __post_init__(self) -> None:
+        count("demonstrations", self.demonstrations, low=0)
+        count("demonstrated", self.demonstrated, low=0)
+        bounded("noise", self.noise, 0)
+        bounded("pushed", self.pushed, 0, 1)
+        bounded("push", self.push, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstrations:
+    """Demonstrations in memory, `N` of them.
+
+    Attributes:
+        config: what they were made with.
+        dataset: of the dataset whose paths they follow.
+        digest: hash over all shards.
+        workspace: `(2, D)` [m].
+        limit: largest displacement of an action along each axis [m].
+        paths: `(N, K + 2, D)` [m], what they follow.
+        labels: `(N,)`, of the paths.
+        states: `(T + 1, D)` [m] of each.
+        actions: `(T, D)` [m] of each, as the controller wanted them.
+        pushed: `(N,)` bool.
+    """
+
+    config: DemonstrationsConfig
+    dataset: DatasetConfig
+    digest: str
+    workspace: Array
+    limit: float
+    paths: Array
+    labels: Array
+    states: list[Array]
+    actions: list[Array]
+    pushed: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Demonstrations:
+        """Read complete demonstrations from the folder of their dataset.
+
+        Raises:
+            DatasetError: they are missing, incomplete or changed since they were written.
+        """
+        content, digest, table = read_shards(
+            Path(folder), DEMONSTRATIONS, "legibility data --demonstrations"
+        )
+        try:
+            own = {f.name: content[f.name] for f in fields(DemonstrationsConfig)}
+            dataset = DatasetConfig.from_dict(content["dataset"])
+            dim, limit = dataset.dim, content["limit"]
+            workspace = np.array(content["workspace"])
+            paths = flat(table["path"]).reshape(-1, NUM_WAYPOINTS + 2, dim).astype(np.float64)
+            lengths = np.array([len(row) for row in table["actions"]]) // dim
+            states = flat(table["states"]).reshape(-1, dim).astype(np.float64)
+            actions = flat(table["actions"]).reshape(-1, dim).astype(np.float64)
+        except (LookupError, TypeError, ValueError) as cause:
+            raise DatasetError(f"{folder} has a manifest that is not its own") from cause
+        return cls(
+            config=DemonstrationsConfig(**own),
+            dataset=dataset,
+            digest=digest,
+            workspace=workspace,
+            limit=limit,
+            paths=paths,
+            labels=table["label"].to_numpy().astype(np.float64),
+            states=np.split(states, np.cumsum(lengths + 1)[:-1]),
+            actions=np.split(actions, np.cumsum(lengths)[:-1]),
+            pushed=table["pushed"].to_numpy(),
+        )
+
+
+def demonstrate(
+    folder: str | Path,
+    config: DemonstrationsConfig,
+    *,
+    workers: int = 1,
+    progress: ShardProgress = lambda done, total: None,
+) -> Demonstrations:
+    """Demonstrate paths of the dataset in `folder`, or go on; the same bytes for any workers.
+
+    Raises:
+        DatasetError: there is no complete dataset, or there are demonstrations of another
+            configuration.
+        OutputError: the folder cannot be written.
+    """
+    folder = Path(folder)
+    dataset, digest, _ = read_shards(folder, "manifest.json", "legibility data")
+    source = DatasetConfig.from_dict(dataset)
+    if source.dim != 2:
+        raise InvalidInputError(f"there is no environment to demonstrate in for {source.dim}-D yet")
+    count("demonstrations", config.demonstrations)
+    if config.demonstrations > source.per_scene:
+        raise InvalidInputError(
+            f"demonstrations must be at most {source.per_scene}, the dataset's trajectories of a "
+            f"scene, got {config.demonstrations}"
+        )
+    if config.demonstrated > source.scenes:
+        raise InvalidInputError(
+            f"demonstrated must be at most {source.scenes}, the dataset's scenes, "
+            f"got {config.demonstrated}"
+        )
+    scenes = config.demonstrated or source.scenes
+    env = BlockReach2DVector(1)
+    content = {
+        **asdict(config),
+        "dataset": source.to_dict(),
+        "digest": digest,
+        "limit": env.max_displacement,
+        "workspace": env.workspace.tolist(),
+    }
+    names = [f"demonstrations-{i:05d}.parquet" for i in range(-(-scenes // SHARD))]
+    write = partial(_write, folder, source, config, content, scenes)
+    counts = {"scenes": scenes}
+    make_shards(
+        folder, DEMONSTRATIONS, content, names, write, counts, workers=workers, progress=progress
+    )
+    return Demonstrations.load(folder)
+
+
+def _write(
+    folder: Path,
+    source: DatasetConfig,
+    config: DemonstrationsConfig,
+    content: dict[str, Any],
+    scenes: int,
+    path: Path,
+    number: int,
+) -> None:
+    table = pq.read_table(folder / source.shard_names[number])
+    part = Dataset.of_table(source, "", table)
+    first = number * SHARD
+    size = min(SHARD, scenes - first)
+    rngs = [
+        np.random.default_rng(stream_seed(source.stream, source.seed, first + i, "demonstration"))
+        for i in range(size)
+    ]
+    # Flat along ℓ, as the dataset is: one of each of equal parts of its levels.
+    edges = np.linspace(0, source.per_scene, config.demonstrations + 1)
+    chosen = [np.floor(rng.uniform(edges[:-1], edges[1:])).astype(np.intp) for rng in rngs]
+    repeated = [part.scenes[i] for i in range(size) for _ in range(config.demonstrations)]
+    waypoints = np.concatenate([part.waypoints[i, chosen[i]] for i in range(size)])
+    labels = np.concatenate([part.labels[i, chosen[i]] for i in range(size)])
+    starts = np.stack([scene.start for scene in repeated])[:, None]
+    goals = np.stack([scene.goals[0] for scene in repeated])[:, None]
+    paths = np.concatenate([starts, waypoints, goals], axis=1)
+    pushed = np.concatenate([rng.random(config.demonstrations) < config.pushed for rng in rngs])
+    seeds = [int(s) for rng in rngs for s in rng.integers(2**62, size=config.demonstrations)]
+
+    states, actions, success = _roll(config, repeated, paths, pushed, seeds)
+    rows = [
+        {
+            "scene": first + i // config.demonstrations,
+            "label": np.float32(labels[i]),
+            "path": paths[i].astype(np.float32).ravel(),
+            "pushed": bool(pushed[i]),
+            "states": states[i].astype(np.float32).ravel(),
+            "actions": actions[i].astype(np.float32).ravel(),
+        }
+        for i in range(len(paths))
+        if success[i]
+    ]
+    write_shard(path, rows, content)
+
+
+def _roll(
+    config: DemonstrationsConfig,
+    scenes: list[Any],
+    paths: Array,
+    pushed: np.ndarray,
+    seeds: list[int],
+) -> tuple[list[Array], list[Array], np.ndarray]:
+    """States and actions of the controller on `paths`, and whether it reached the goal."""
+    env = BlockReach2DVector(len(paths))
+    options = {
+        "scene": scenes,
+        "noise": [config.noise] * len(paths),
+        "push": (config.push * pushed).tolist(),
+    }
+    observation, _ = env.reset(seed=seeds, options=options)
+    tracker = PathTracker(paths, env.max_displacement, env.workspace)
+    positions = previous = observation["position"]
+    states, actions = [positions], []
+    lengths = np.zeros(len(paths), dtype=np.intp)
+    success = np.zeros(len(paths), dtype=bool)
+    while not env.done.all():
+        lengths += ~env.done
+        sent = safe_actions(
+            feedback_action(tracker, positions), positions, positions - previous,
+            env.workspace, env.max_displacement, env.lag_range[1],
+        )  # fmt: skip
+        observation, _, success, _, _ = env.step(sent)
+        previous, positions = positions, observation["position"]
+        tracker.update(positions, previous)
+        states.append(positions)
+        actions.append(sent)
+    each = zip(np.stack(states, 1), np.stack(actions, 1), lengths, strict=True)
+    cut = [(s[: n + 1], a[:n]) for s, a, n in each]
+    return [s for s, _ in cut], [a for _, a in cut], success
