@@ -15,7 +15,7 @@ from ..checks import Array
 from ..intent.field import InformationPotentialField
 from ..scene import Scene
 
-__all__ = ["Frame", "scene_image", "scene_odds", "scene_vector", "vector_size"]
+__all__ = ["Frame", "axes_along", "scene_image", "scene_odds", "scene_vector", "vector_size"]
 
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
 """What of the frame an image shows along each axis, in lengths of the straight line."""
@@ -47,14 +47,7 @@ class Frame:
         """The frame of `scene` for goal `target`."""
         offset = scene.target(target) - scene.start
         scale = float(np.linalg.norm(offset))
-        forward = offset / scale
-        if scene.dim == 2:
-            rotation = np.array([forward, [-forward[1], forward[0]]])
-        else:
-            side = np.cross([0.0, 0.0, 1.0], forward)
-            length = np.linalg.norm(side)
-            side = side / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
-            rotation = np.array([forward, side, np.cross(forward, side)])
+        rotation = axes_along(offset)
         return cls(scene.start, rotation, scale)
 
     def world_to_frame(self, points: np.ndarray) -> np.ndarray:
@@ -64,6 +57,23 @@ class Frame:
     def frame_to_world(self, points: np.ndarray) -> np.ndarray:
         """The inverse of `world_to_frame`."""
         return points @ self.rotation * self.scale + self.origin
+
+
+def axes_along(direction: np.ndarray) -> np.ndarray:
+    """Rotations `(..., D, D)`, rows are orthonormal axes, the first along `direction (..., D)`.
+
+    In 3D the second is horizontal. A direction of no length is taken for the world's first axis.
+    """
+    length = np.linalg.norm(direction, axis=-1, keepdims=True)
+    first = np.zeros(direction.shape[-1])
+    first[0] = 1.0
+    forward = np.where(length > 1e-12, direction / np.maximum(length, 1e-12), first)
+    if direction.shape[-1] == 2:
+        return np.stack([forward, np.stack([-forward[..., 1], forward[..., 0]], -1)], -2)
+    side = np.cross([0.0, 0.0, 1.0], forward)
+    length = np.linalg.norm(side, axis=-1, keepdims=True)
+    side = np.where(length > 1e-6, side / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
+    return np.stack([forward, side, np.cross(forward, side)], -2)
 
 
 def scene_image(

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 __all__ = ["DistractorEncoder", "FiLMUNet", "FieldEncoder", "Residual", "fourier"]
 
 _GROUPS = 8
+_FEW = 32
 
 
 def fourier(value: Tensor, num: int) -> Tensor:
@@ -73,13 +74,32 @@ class Residual(nn.Module):
         return x + self.body(x)
 
 
+class _Convolution(nn.Conv1d):
+    """A convolution of width 3 over the waypoints; for few paths it is a matrix product.
+
+    A library's convolution needs longer to set itself up than to convolve eight points.
+    """
+
+    def __init__(self, channels: int, out: int, stride: int = 1) -> None:
+        super().__init__(channels, out, 3, stride=stride, padding=1)
+
+    def forward(self, input: Tensor) -> Tensor:
+        """`(B, C, K)` to `(B, C′, K / stride)`."""
+        if len(input) > _FEW:
+            return super().forward(input)
+        assert self.bias is not None
+        windows = F.pad(input, (1, 1)).unfold(2, 3, self.stride[0]).transpose(1, 2)
+        product = F.linear(windows.flatten(2), self.weight.flatten(1), self.bias)
+        return product.transpose(1, 2)
+
+
 class _Block(nn.Module):
     """Two convolutions over the waypoints, the first modulated by FiLM (Perez et al. 2018)."""
 
     def __init__(self, channels: int, out: int, condition: int) -> None:
         super().__init__()
-        self.first = nn.Conv1d(channels, out, 3, padding=1)
-        self.second = nn.Conv1d(out, out, 3, padding=1)
+        self.first = _Convolution(channels, out)
+        self.second = _Convolution(out, out)
         self.norms = nn.ModuleList([nn.GroupNorm(_GROUPS, out) for _ in range(2)])
         self.film = nn.Linear(condition, 2 * out)
         self.skip = nn.Conv1d(channels, out, 1) if channels != out else nn.Identity()
@@ -105,13 +125,11 @@ class FiLMUNet(nn.Module):
 
     def __init__(self, inputs: int, dim: int, channels: tuple[int, ...], condition: int) -> None:
         super().__init__()
-        self.inlet = nn.Conv1d(inputs, channels[0], 3, padding=1)
+        self.inlet = _Convolution(inputs, channels[0])
         self.down, self.up = nn.ModuleList(), nn.ModuleList()
         for low, high in pairwise(channels):
             self.down.append(
-                nn.ModuleList(
-                    [_Block(low, low, condition), nn.Conv1d(low, high, 3, stride=2, padding=1)]
-                )
+                nn.ModuleList([_Block(low, low, condition), _Convolution(low, high, stride=2)])
             )
             self.up.insert(
                 0,

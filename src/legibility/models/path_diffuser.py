@@ -16,10 +16,11 @@ from ..errors import CheckpointError, InvalidInputError
 from ..intent.field import InformationPotentialField
 from ..intent.labels import LABELS
 from ..scene import Scene
+from .diffusion import ddim
 from .frame import DEPTH, FIELD_CHANNELS, scene_image, scene_odds, scene_vector, vector_size
 from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fourier
 
-__all__ = ["Conditions", "PathDiffuser", "PathDiffuserConfig", "noise_schedule"]
+__all__ = ["Conditions", "PathDiffuser", "PathDiffuserConfig"]
 
 _NO_ODDS = -1e4
 _LEVEL_FREQUENCIES = 12
@@ -58,7 +59,7 @@ class PathDiffuserConfig:
     resolution: int = 32
     squash: float = 0.1
     diffusion_steps: int = 100
-    sampling_steps: int = 2
+    sampling_steps: int = 3
     guidance: float = 0.3
 
     def __post_init__(self) -> None:
@@ -289,46 +290,24 @@ class PathDiffuser(nn.Module):
             steps: of the sampler; the configuration's if not given.
         """
         guidance = self.config.guidance if guidance is None else guidance
-        contexts: list[tuple[Tensor, Tensor | None]] = [
-            (self.encode(self.encode_scene(conditions), level), None)
-        ]
-        if guidance:
-            drop = torch.zeros_like(level, dtype=torch.bool)
+        context = self.encode(self.encode_scene(conditions), level)
+        seen, keep = conditions.without_image(), None
+        if guidance:  # with and without conditions in one batch
+            none = torch.zeros_like(level, dtype=torch.bool)
             # What `encode_scene` gives where the field is dropped, without drawing on the image.
             scene = self.scene(self.no_field + self.place(conditions.vector))
-            contexts.append((self.encode(scene, level, drop), drop))
+            context = torch.cat([context, self.encode(scene, level, none)])
+            keep = torch.cat([~none, none])
+            if len(seen.vector) > 1:
+                seen = seen.map(lambda x: torch.cat([x, x]))
         weight = guidance * level[:, None, None] ** 4
-        times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
-        latent = noise
-        for time, after in zip(times, [*times[1:], None], strict=True):
-            timestep = torch.full(level.shape, time, device=latent.device)
-            velocity, *free = (self(latent, timestep, c, conditions, keep) for c, keep in contexts)
-            if free:
-                velocity = velocity + weight * (velocity - free[0])
-            signal, rest = self.signal[time].sqrt(), (1 - self.signal[time]).sqrt()
-            clean = signal * latent - rest * velocity
-            if after is None:
-                return self.from_latent(clean)
-            residue = rest * latent + signal * velocity
-            latent = self.signal[after].sqrt() * clean + (1 - self.signal[after]).sqrt() * residue
-        raise AssertionError("there is at least one step")
 
+        def velocity(latent: Tensor, timestep: Tensor) -> Tensor:
+            if keep is None:
+                return self(latent, timestep, context, seen)
+            found = self(latent.repeat(2, 1, 1), timestep.repeat(2), context, seen, keep)
+            guided, free = found.chunk(2)
+            return guided + weight * (guided - free)
 
-def sampling_timesteps(diffusion_steps: int, steps: int) -> list[int]:
-    """`steps` of the diffusion steps, falling, evenly spaced and from the last one on.
-
-    The "trailing" spacing of Lin et al. 2024: with zero terminal signal the first step must be at
-    pure noise, however few there are.
-    """
-    return [round(diffusion_steps * (steps - i) / steps) - 1 for i in range(steps)]
-
-
-def noise_schedule(diffusion_steps: int) -> Tensor:
-    """ᾱ `(diffusion_steps,)`: squared cosine (Nichol & Dhariwal 2021), zero terminal signal."""
-    from diffusers.schedulers.scheduling_ddim import DDIMScheduler
-
-    return DDIMScheduler(
-        num_train_timesteps=diffusion_steps,
-        beta_schedule="squaredcos_cap_v2",
-        rescale_betas_zero_snr=True,
-    ).alphas_cumprod
+        steps = steps or self.config.sampling_steps
+        return self.from_latent(ddim(velocity, noise, self.signal, steps))

@@ -32,44 +32,38 @@ LOG = "log.jsonl"
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How a model is trained.
+    """How a model is trained; each stage has settings of its own besides.
 
     Attributes:
         steps: optimiser steps.
-        scenes: scenes in a batch.
-        per_scene: trajectories of each scene in a batch.
         learning_rate: its highest value, after the warm-up; it ends at 0 (cosine).
         warmup: steps of linear warm-up.
         weight_decay: of AdamW.
-        dropout: probability that field and ℓ are dropped together, for guidance.
-        score_weight: weight of the loss on the achieved label against that on the velocity.
+        dropout: probability that what guides the model is dropped: field and ℓ together of stage 1,
+            the path of stage 2.
         ema: decay of the exponential moving average of the weights, which is what is kept.
         seed: of the weights and of every batch.
         validate_every: steps between validations of the dial.
         checkpoint_every: steps between checkpoints.
     """
 
-    steps: int = 7000
-    scenes: int = 128
-    per_scene: int = 8
+    steps: int = 12000
     learning_rate: float = 1e-3
     warmup: int = 500
     weight_decay: float = 1e-4
     dropout: float = 0.1
-    score_weight: float = 5.0
     ema: float = 0.999
     seed: int = 0
     validate_every: int = 1000
     checkpoint_every: int = 500
 
     def __post_init__(self) -> None:
-        for name in ("steps", "scenes", "per_scene", "validate_every", "checkpoint_every"):
+        for name in ("steps", "validate_every", "checkpoint_every"):
             count(name, getattr(self, name))
         random_seed("seed", self.seed)
         count("warmup", self.warmup, low=0)
         positive("learning_rate", self.learning_rate)
         bounded("weight_decay", self.weight_decay, 0)
-        bounded("score_weight", self.score_weight, 0)
         for name in ("dropout", "ema"):
             if bounded(name, getattr(self, name), 0, 1) == 1:
                 raise InvalidInputError(f"{name} must lie in [0, 1), got {getattr(self, name)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +11,51 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ..checks import bounded, count
 from ..curves import NUM_WAYPOINTS, spline_matrix
 from ..dataset import LABEL_KNOTS, Dataset
 from ..errors import InvalidInputError
 from ..intent.metrics import SCORE_POINTS
+from ..models.diffusion import noise_schedule, noised
 from ..models.frame import Frame
-from ..models.path_diffuser import Conditions, PathDiffuser, PathDiffuserConfig, noise_schedule
+from ..models.path_diffuser import Conditions, PathDiffuser, PathDiffuserConfig
 from .loop import Progress, TrainingConfig, choose_device, train
 
-__all__ = ["FrameScorer", "PathBatches", "train_path", "validate_dial"]
+__all__ = ["FrameScorer", "PathBatches", "PathTrainingConfig", "train_path", "validate_dial"]
 
 _LEAST_COST = 1e-30
+
+
+@dataclass(frozen=True)
+class PathTrainingConfig(TrainingConfig):
+    """How stage 1 is trained.
+
+    Attributes:
+        scenes: scenes in a batch.
+        per_scene: trajectories of each scene in a batch.
+        score_weight: weight of the loss on the achieved label against that on the velocity.
+        wall_weight: the same of the mean distance by which the denoised curve is outside the
+            workspace, in lengths of the straight line.
+    """
+
+    scenes: int = 128
+    per_scene: int = 8
+    score_weight: float = 5.0
+    wall_weight: float = 20.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count("scenes", self.scenes)
+        count("per_scene", self.per_scene)
+        bounded("score_weight", self.score_weight, 0)
+        bounded("wall_weight", self.wall_weight, 0)
 
 
 class PathBatches:
     """The dataset as tensors on a device, and the loss of stage 1 over random batches of it."""
 
     def __init__(
-        self, data: Dataset, model: PathDiffuser, config: TrainingConfig, device: torch.device
+        self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, device: torch.device
     ) -> None:
         self.config = config
         self.device = device
@@ -44,7 +72,7 @@ class PathBatches:
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared error of the velocity, and smooth L1 of the denoised path's achieved label."""
+        """Squared error of the velocity; the denoised path's achieved label and walls besides."""
         config, steps = self.config, model.config.diffusion_steps
         num, per = config.scenes, config.per_scene
         scenes = torch.randint(len(self.labels), (num,), generator=generator)
@@ -61,29 +89,29 @@ class PathBatches:
 
         clean = model.to_latent(waypoints)
         signal = model.signal[timestep, None, None]
-        noisy = signal.sqrt() * clean + (1 - signal).sqrt() * noise
-        velocity = signal.sqrt() * noise - (1 - signal).sqrt() * clean
+        noisy, velocity = noised(clean, noise, signal)
         scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), keep)
         kept = keep.repeat_interleave(per)
         context = model.encode(scene.repeat_interleave(per, 0), label, kept)
         conditions = self.conditions.without_image().map(lambda x: x[each])
         predicted = model(noisy, timestep, context, conditions, kept)
         velocity_loss = F.mse_loss(predicted, velocity)
-        if not config.score_weight:
-            return velocity_loss, {"velocity": velocity_loss.detach()}
-
         # What the path would achieve if denoised at once. Under much noise that is a mean over many
         # paths, whose label says little: it counts by the signal squared, and not under the most.
         clear = torch.nonzero(kept & (signal[:, 0, 0] > 0.2))[:, 0]
-        estimate = (signal.sqrt() * noisy - (1 - signal).sqrt() * predicted)[clear]
-        achieved = self.scorer.label(
-            conditions.map(lambda x: x[clear]), each[clear], model.from_latent(estimate)
-        )
         weight = signal[clear, 0, 0] ** 2
+        weight = weight / weight.sum().clamp_min(1e-6)
+        estimate = (signal.sqrt() * noisy - (1 - signal).sqrt() * predicted)[clear]
+        seen = conditions.map(lambda x: x[clear])
+        points = self.scorer.curve(model.from_latent(estimate))
+        achieved = self.scorer.label(seen, each[clear], points)
         error = F.smooth_l1_loss(achieved, label[clear], beta=0.1, reduction="none")
-        label_loss = (weight * error).sum() / weight.sum().clamp_min(1e-6)
-        total = velocity_loss + config.score_weight * label_loss
-        return total, {"velocity": velocity_loss.detach(), "label": label_loss.detach()}
+        label_loss = (weight * error).sum()
+        outside = F.relu(-seen.wall_distance(points)).mean(dim=1)
+        wall_loss = (weight * outside).sum()
+        total = velocity_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
+        parts = {"velocity": velocity_loss, "label": label_loss, "wall": wall_loss}
+        return total, {name: part.detach() for name, part in parts.items()}
 
     @torch.no_grad()
     def spread(self, model: PathDiffuser) -> Tensor:
@@ -107,11 +135,13 @@ class FrameScorer:
         self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, SCORE_POINTS))
         self.ends = tensor(np.eye(2, data.config.dim, k=-1))
 
-    def score(self, conditions: Conditions, waypoints: Tensor) -> Tensor:
-        """`(B,)` of waypoints `(B, K, D)` in the start–target frames of `B` scenes."""
+    def curve(self, waypoints: Tensor) -> Tensor:
+        """The curve `(B, T, D)` through waypoints `(B, K, D)` in the start–target frame."""
         ends = self.ends.expand(len(waypoints), -1, -1)
-        path = torch.cat([ends[:, :1], waypoints, ends[:, 1:]], dim=1)
-        points = self.spline @ path
+        return self.spline @ torch.cat([ends[:, :1], waypoints, ends[:, 1:]], dim=1)
+
+    def score(self, conditions: Conditions, points: Tensor) -> Tensor:
+        """`(B,)` of curves `(B, T, D)` in the start–target frames of `B` scenes."""
         potential, _ = conditions.potential(points)
         steps = (points.diff(dim=1).square().sum(-1) + 1e-12).sqrt()
         progress = F.pad(steps.cumsum(1), (1, 0)) / steps.sum(1, keepdim=True)
@@ -121,15 +151,15 @@ class FrameScorer:
         total = ((weighted[:, 1:] + weighted[:, :-1]) * width).sum(1)
         return -total / ((decay[:, 1:] + decay[:, :-1]) * width).sum(1)
 
-    def label(self, conditions: Conditions, scenes: Tensor, waypoints: Tensor) -> Tensor:
+    def label(self, conditions: Conditions, scenes: Tensor, points: Tensor) -> Tensor:
         """The achieved label `(B,)`, extrapolated beyond ±1 so that its gradient never ends.
 
         Args:
             conditions: of the `B` scenes.
             scenes: their indices `(B,)` in the data.
-            waypoints: `(B, K, D)` in their start–target frames.
+            points: `(B, T, D)`, curves in their start–target frames.
         """
-        score = -torch.log((-self.score(conditions, waypoints)).clamp_min(_LEAST_COST))
+        score = -torch.log((-self.score(conditions, points)).clamp_min(_LEAST_COST))
         knots = self.knots[scenes]
         right = torch.searchsorted(knots, score.detach()[:, None]).clamp(1, len(self.values) - 1)
         low, high = knots.gather(1, right - 1)[:, 0], knots.gather(1, right)[:, 0]
@@ -143,7 +173,7 @@ def train_path(
     data: Dataset,
     validation: Dataset,
     folder: str | Path,
-    config: TrainingConfig | None = None,
+    config: PathTrainingConfig | None = None,
     *,
     device: str | None = None,
     progress: Progress = lambda step, steps, figures: None,
@@ -163,7 +193,7 @@ def train_path(
     Returns:
         The trained model, on the CPU.
     """
-    config = config or TrainingConfig()
+    config = config or PathTrainingConfig()
     settings |= {name: getattr(data.config, name) for name in ("dim", "sigma", "alpha", "label")}
     if "evaluation" in (data.config.stream, validation.config.stream):
         raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
@@ -197,7 +227,7 @@ def train_path(
 def validate_dial(
     model: PathDiffuser, checks: PathBatches, levels: int = 11, samples: int = 2
 ) -> dict[str, float]:
-    """The dial on validation scenes: Spearman and error of the achieved label, mean over scenes."""
+    """The dial on validation scenes: rank and error of the achieved label, curves inside."""
     from scipy.stats import spearmanr
 
     scenes = torch.arange(len(checks.labels), device=checks.device)
@@ -205,10 +235,13 @@ def validate_dial(
     shape = (len(scenes), len(asked), *checks.waypoints.shape[2:])
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(checks.device)
     achieved = torch.empty(len(scenes), len(asked), device=checks.device)
+    inside = torch.zeros((), device=checks.device)
     for column, level in enumerate(asked):
         waypoints = model.sample(checks.conditions, level.expand(len(scenes)), noise[:, column])
-        label = checks.scorer.label(checks.conditions, scenes, waypoints)
+        points = checks.scorer.curve(waypoints)
+        label = checks.scorer.label(checks.conditions, scenes, points)
         achieved[:, column] = label.clamp(-1, 1)
+        inside += (checks.conditions.wall_distance(points) >= -1e-6).all(dim=1).float().mean()
     found = achieved.cpu().numpy()
     wanted = asked.cpu().numpy()
     ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in found])
@@ -216,6 +249,7 @@ def validate_dial(
         "validation_spearman": float(ranks.mean()),
         "validation_spearman_worst": float(ranks.min()),
         "validation_error": float(np.abs(found - wanted).mean()),
+        "validation_inside": float(inside / len(asked)),
         "validation_at_1": float(found[:, -samples:].mean()),
         "validation_at_-1": float(found[:, :samples].mean()),
     }

@@ -1,0 +1,67 @@
+"""What both stages share of diffusion: the noise schedule and a deterministic sampler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+__all__ = ["ddim", "noise_schedule", "noised", "sampling_timesteps"]
+
+
+def noise_schedule(diffusion_steps: int) -> Tensor:
+    """ᾱ `(diffusion_steps,)`: squared cosine (Nichol & Dhariwal 2021), zero terminal signal."""
+    from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+
+    return DDIMScheduler(
+        num_train_timesteps=diffusion_steps,
+        beta_schedule="squaredcos_cap_v2",
+        rescale_betas_zero_snr=True,
+    ).alphas_cumprod
+
+
+def noised(clean: Tensor, noise: Tensor, signal: Tensor) -> tuple[Tensor, Tensor]:
+    """`clean` under `noise`, and the velocity v to be predicted (Salimans & Ho 2022).
+
+    Args:
+        clean: `(B, K, D)`.
+        noise: `(B, K, D)` standard normal.
+        signal: ᾱ of each, `(B, 1, 1)`.
+    """
+    noisy = signal.sqrt() * clean + (1 - signal).sqrt() * noise
+    return noisy, signal.sqrt() * noise - (1 - signal).sqrt() * clean
+
+
+def sampling_timesteps(diffusion_steps: int, steps: int) -> list[int]:
+    """`steps` of the diffusion steps, falling, evenly spaced from the last one to the middle.
+
+    With zero terminal signal the first must be at pure noise (Lin et al. 2024). Under less noise
+    than the middle's there is nothing left to choose, so few steps end there.
+    """
+    last = diffusion_steps - 1
+    end = min(last // 2, diffusion_steps - steps)
+    return [round(last - (last - end) * i / max(1, steps - 1)) for i in range(steps)]
+
+
+def ddim(
+    velocity: Callable[[Tensor, Tensor], Tensor], noise: Tensor, signal: Tensor, steps: int
+) -> Tensor:
+    """Denoise `noise (B, K, D)` deterministically (Song et al. 2021); the same noise, the same end.
+
+    Args:
+        velocity: v of a noisy latent `(B, K, D)` and its timestep `(B,)`.
+        noise: standard normal.
+        signal: ᾱ at each diffusion step, `(S,)`.
+        steps: how many to take.
+    """
+    times = sampling_timesteps(len(signal), steps)
+    latent = clean = noise
+    for time, after in zip(times, [*times[1:], None], strict=True):
+        v = velocity(latent, torch.full(noise.shape[:1], time, device=noise.device))
+        kept, lost = signal[time].sqrt(), (1 - signal[time]).sqrt()
+        clean = kept * latent - lost * v
+        if after is not None:
+            residue = lost * latent + kept * v
+            latent = signal[after].sqrt() * clean + (1 - signal[after]).sqrt() * residue
+    return clean
