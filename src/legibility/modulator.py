@@ -3,79 +3,52 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from .checks import Array, count, finite_array, legibility_levels, random_seed, target_index
+from .checks import (
+    Array,
+    count,
+    finite_array,
+    legibility_levels,
+    positive,
+    random_seed,
+    target_index,
+)
 from .curves import NUM_WAYPOINTS, path_curve
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
+from .execution import Driver, Fleet, Policy, Rollout, follow
 from .files import file_hash, read_text, write_json
 from .intent.field import InformationPotentialField
 from .intent.metrics import SCORE_POINTS, legibility_score
 from .models.checkpoint import load_state, load_tensors, save_tensors
 from .models.frame import Frame
 from .models.path_diffuser import PathDiffuser, PathDiffuserConfig
-from .motion.archive import Archive, build_archive
-from .scene import Scene
+from .models.path_policy import PathPolicy, PathPolicyConfig
+from .motion.archive import Archive
+from .path import Path, scene_archive
+from .scene import MIN_SEPARATION, Scene
 
-__all__ = ["Modulator", "Path", "pretrained_folder", "pretrained_names"]
+__all__ = ["Modulator", "pretrained_folder", "pretrained_names", "save_stage"]
 
-_FORMAT = 1
+_FORMAT = 2
+
+_ATTEMPTS = 3
+_LESS = 0.03
+_CLEARLY = 0.05
+_LEAST_COST = 1e-12
+
+_STAGES: dict[str, Any] = {
+    "path": (PathDiffuserConfig, PathDiffuser),
+    "policy": (PathPolicyConfig, PathPolicy),
+}
 _WEIGHTS = FilePath(__file__).parent / "weights"
-
-
-@dataclass(frozen=True, eq=False)
-class Path:
-    """One path, or `B` of them, from the start of a scene to the goal that is meant.
-
-    Attributes:
-        scene: the scene.
-        target: index of the goal that is meant.
-        legibility: ℓ as asked, a number or `(B,)`.
-        waypoints: `(K + 2, D)` or `(B, K + 2, D)` [m]: start, K = 8 waypoints, goal; inside the
-            workspace.
-        clipped: bool or `(B,)`: whether the curve that the network drew left the workspace and was
-            brought back to its wall.
-        field: the observer.
-        alpha: decay of the score's weight.
-        label: how the scene's archive is labelled.
-    """
-
-    scene: Scene
-    target: int
-    legibility: Array
-    waypoints: Array
-    clipped: np.ndarray | np.bool
-    field: InformationPotentialField
-    alpha: float
-    label: str
-
-    def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
-        """The smooth curve through the waypoints, `(B?, num_points, D)` [m], in the workspace."""
-        curve = path_curve(self.waypoints, count("num_points", num_points, low=2))
-        curve[..., [0, -1], :] = self.waypoints[..., [0, -1], :]  # free of rounding
-        return np.clip(curve, *self.scene.workspace)
-
-    @cached_property
-    def score(self) -> Array:
-        """`legibility_score` of the trajectory, `(B?)`; higher = more legible."""
-        return legibility_score(self.trajectory(), self.field, self.target, self.alpha)
-
-    @property
-    def archive(self) -> Archive:
-        """The scene's archive, built on first use."""
-        return _archive(self.scene, self.target, self.field.sigma, self.alpha, self.label)
-
-    @cached_property
-    def achieved(self) -> Array:
-        """The label in [−1, 1] that the trajectory achieves in the scene's archive, `(B?)`."""
-        return self.archive.label_of(self.score)
 
 
 class Modulator:
@@ -83,19 +56,29 @@ class Modulator:
 
     Args:
         path_diffuser: stage 1.
+        path_policy: stage 2; without it motions are planned, not executed.
         name: of the weights.
-        training: how they were made, for the model card.
+        training: how each stage was made, by the names `path` and `policy`, for the model card.
     """
 
     def __init__(
         self,
         path_diffuser: PathDiffuser,
+        path_policy: PathPolicy | None = None,
         name: str = "unnamed",
         training: dict[str, Any] | None = None,
     ) -> None:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
+        self.path_policy = path_policy
+        if path_policy is not None:
+            path_policy.eval().requires_grad_(False)
+            if path_policy.config.dim != path_diffuser.config.dim:
+                raise InvalidInputError(
+                    f"the stages must have one dimension, got {path_diffuser.config.dim} and "
+                    f"{path_policy.config.dim}"
+                )
         self.name = name
-        self.training = training
+        self.training = training or {}
 
     @property
     def config(self) -> PathDiffuserConfig:
@@ -107,42 +90,27 @@ class Modulator:
         """Load weights that came with the package, or from a folder.
 
         Args:
-            name_or_folder: one of `pretrained_names()`, or a folder with `config.json` and
-                `path.safetensors`.
+            name_or_folder: one of `pretrained_names()`, or a folder with `config.json`,
+                `path.safetensors` and, for stage 2, `policy.safetensors`.
 
         Raises:
             CheckpointError: there are no such weights, or they are corrupted.
         """
         folder = pretrained_folder(name_or_folder)
-        text = read_text(folder / "config.json", "model configuration", CheckpointError)
-        try:
-            content = json.loads(text)
-            if content["format"] != _FORMAT:
-                raise CheckpointError(f"{folder} has format {content['format']}, not {_FORMAT}")
-            config = PathDiffuserConfig.from_dict(content["path"])
-            model, digest, training = PathDiffuser(config), content["sha256"], content["training"]
-        except CheckpointError:
-            raise
-        except (ValueError, KeyError, TypeError, RuntimeError) as cause:
-            raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
-        weights = folder / "path.safetensors"
-        load_state(model, load_tensors(weights)[0], weights)
-        if file_hash(weights) != digest:
-            raise CheckpointError(f"{weights} is not the file that {folder / 'config.json'} names")
-        return cls(model, name=folder.resolve().name, training=training)
+        entries = _read_config(folder)
+        stages = {name: _load_stage(folder, name, entry) for name, entry in entries.items()}
+        if "path" not in stages:
+            raise CheckpointError(f"{folder} has no stage 1")
+        training = {name: entry["training"] for name, entry in entries.items()}
+        return cls(
+            stages["path"], stages.get("policy"), name=folder.resolve().name, training=training
+        )
 
     def save_pretrained(self, folder: str | FilePath) -> None:
-        """Write `config.json` and `path.safetensors` to `folder`."""
-        folder = FilePath(folder)
-        weights = folder / "path.safetensors"
-        save_tensors(weights, self.path_diffuser.state_dict())
-        content = {
-            "format": _FORMAT,
-            "path": self.config.to_dict(),
-            "sha256": file_hash(weights),
-            "training": self.training,
-        }
-        write_json(folder / "config.json", content)
+        """Write `config.json` and the weights of each stage to `folder`."""
+        save_stage(folder, "path", self.path_diffuser, self.training.get("path"))
+        if self.path_policy is not None:
+            save_stage(folder, "policy", self.path_policy, self.training.get("policy"))
 
     def plan(
         self,
@@ -177,54 +145,247 @@ class Modulator:
         levels = legibility_levels(legibility)
         seed = random_seed("seed", seed)
         num_candidates = count("num_candidates", num_candidates)
+        guidance, steps = self._sampler(guidance, steps)
+        asked = np.repeat(np.atleast_1d(levels), num_candidates)
+        draw = self._draw_on_its_side if num_candidates == 1 else self._draw
+        drawn = draw([scene], [target], asked, seed, guidance, steps)
+        if num_candidates > 1:
+            archive = self.archive(scene, target)
+            scores = self._path(scene, target, asked, drawn).score
+            errors = np.abs(archive.label_of(scores) - asked)
+            best = np.argmin(errors.reshape(-1, num_candidates), axis=1)
+            drawn = drawn[np.arange(len(best)) * num_candidates + best]
+        return self._path(scene, target, levels, drawn if levels.ndim else drawn[0])
+
+    def plan_many(
+        self,
+        scenes: Sequence[Scene],
+        targets: Sequence[int],
+        legibility: ArrayLike,
+        *,
+        seed: int = 0,
+        guidance: float | None = None,
+        steps: int | None = None,
+    ) -> list[Path]:
+        """One path in each of many scenes, all drawn at once.
+
+        Args:
+            scenes: `B` of the model's dimension.
+            targets: `(B,)`, index of the goal that is meant in each.
+            legibility: ℓ in [−1, 1], one for all or `(B,)`.
+            seed: of the paths drawn.
+            guidance: weight of classifier-free guidance at ±1; the model's own if not given.
+            steps: of the sampler; the model's own if not given.
+
+        Raises:
+            InvalidInputError: an argument is out of its range.
+            InvalidSceneError: a scene has another dimension than the model.
+        """
+        scenes = list(scenes)
+        for scene in scenes:
+            self._check_scene(scene)
+        if not scenes or len(targets) != len(scenes):
+            raise InvalidInputError(
+                f"targets must be as many as scenes, at least one, "
+                f"got {len(targets)} and {len(scenes)}"
+            )
+        chosen = [target_index(t, s.num_goals) for s, t in zip(scenes, targets, strict=True)]
+        levels = levels_for(len(scenes), legibility)
+        guidance, steps = self._sampler(guidance, steps)
+        drawn = self._draw_on_its_side(
+            scenes, chosen, levels, random_seed("seed", seed), guidance, steps
+        )
+        return [self._path(*each) for each in zip(scenes, chosen, levels, drawn, strict=True)]
+
+    def execute(
+        self,
+        env: Any,
+        target: int | Sequence[int] | None = None,
+        legibility: ArrayLike = 1.0,
+        *,
+        seed: int = 0,
+        path: Path | Sequence[Path] | None = None,
+        replan: bool = True,
+        tolerance: float | None = None,
+        guidance: float | None = None,
+        steps: int | None = None,
+        driver: Driver | None = None,
+    ) -> Rollout | list[Rollout]:
+        """Plan and move, closed loop, from where the environment stands until the episode ends.
+
+        An environment that was never reset is reset with `seed` first.
+
+        Args:
+            env: an environment of this package, or a vector of them (`gymnasium.make_vec`), whose
+                `B` robots are planned and moved together.
+            target: index of the goal that is meant, one for all or `(B,)`; the environment's own
+                if not given.
+            legibility: ℓ in [−1, 1], one for all or `(B,)`.
+            seed: of the paths and actions drawn.
+            path: follow these, `B` of them, instead of planning; they must start at the robots.
+            replan: whether to plan again, with the same ℓ for what is left of the motion, where a
+                push has taken the robot off its path by more than `tolerance` or its goal was
+                moved; else it goes back to the path. Nearer to the goal than training ever started
+                the rest is straight.
+            tolerance: [m]; the largest action's length if not given.
+            guidance: of stage 1, see `plan`.
+            steps: of stage 1's sampler, see `plan`.
+            driver: moves the robots instead of stage 2.
+
+        Returns:
+            A rollout, or a list of `B` if `env` is a vector.
+
+        Raises:
+            InvalidInputError: an argument is out of its range or does not fit the environment.
+            CheckpointError: the model has no stage 2.
+        """
+        seed = random_seed("seed", seed)
+        if driver is None:
+            if self.path_policy is None:
+                raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
+            driver = Policy(self.path_policy, seed)
+        fleet = Fleet(env, seed)
+        if fleet.workspace.shape[1] != self.config.dim:
+            raise InvalidInputError(
+                f"the model {self.name} moves in {self.config.dim}D, "
+                f"the environment is {fleet.workspace.shape[1]}D"
+            )
+        if self.path_policy is not None and fleet.limit != self.path_policy.config.limit:
+            raise InvalidInputError(
+                f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
+                f"the environment's limit is {fleet.limit} m"
+            )
+        tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
+        levels = levels_for(fleet.size, legibility)
+        if target is not None:
+            wanted = (
+                np.broadcast_to(np.asarray(target), (fleet.size,))
+                if np.ndim(target) == 0
+                else (np.asarray(target))
+            )
+            if wanted.shape != (fleet.size,):
+                raise InvalidInputError(
+                    f"target must be one for all or {fleet.size}, got {np.shape(target)}"
+                )
+            fleet.set_targets(wanted)
+        options: dict[str, Any] = {"guidance": guidance, "steps": steps}
+        here = [
+            _moved(scene, position)
+            for scene, position in zip(fleet.scenes, fleet.positions, strict=True)
+        ]
+        if path is None:
+            paths = self.plan_many(here, fleet.targets.tolist(), levels, seed=seed, **options)
+        else:
+            paths = [path] if isinstance(path, Path) else list(path)
+            if len(paths) != fleet.size or any(p.waypoints.ndim != 2 for p in paths):
+                raise InvalidInputError(
+                    f"path must be one for each of {fleet.size} robots, got {len(paths)}"
+                )
+
+        def plan_again(rows: list[int], positions: Array) -> list[Path]:
+            scenes = fleet.scenes
+            here = [_moved(scenes[r], x) for r, x in zip(rows, positions, strict=True)]
+            targets = fleet.targets[rows].tolist()
+            found = self.plan_many(here, targets, levels[rows], seed=seed, **options)
+            return [_or_straight(p) for p in found]
+
+        rollouts = follow(
+            fleet, paths, driver,
+            plan_again=plan_again if replan else None, tolerance=tolerance,
+        )  # fmt: skip
+        return rollouts if hasattr(env.unwrapped, "num_envs") else rollouts[0]
+
+    def _path(self, scene: Scene, target: int, levels: Array, drawn: Array) -> Path:
+        low, high = scene.workspace
+        inside = scene.contains(path_curve(drawn, SCORE_POINTS), 1e-6).all(-1)
+        return Path(
+            scene, target, levels, np.clip(drawn, low, high), ~inside,
+            InformationPotentialField(scene.goals, self.config.sigma),
+            self.config.alpha, self.config.label,
+        )  # fmt: skip
+
+    def archive(self, scene: Scene, target: int = 0) -> Archive:
+        """The archive of a scene as this model's labels mean it; the last ones are kept."""
+        config = self.config
+        return scene_archive(scene, target, config.sigma, config.alpha, config.label)
+
+    def _sampler(
+        self, guidance: float | None, steps: int | None
+    ) -> tuple[float | None, int | None]:
         if guidance is not None:
             guidance = float(finite_array("guidance", guidance, ndim=0))
         if steps is not None and count("steps", steps) > self.config.diffusion_steps:
             raise InvalidInputError(
                 f"steps must be at most {self.config.diffusion_steps}, got {steps}"
             )
-        asked = np.repeat(np.atleast_1d(levels), num_candidates)
-        drawn = self._draw(scene, target, asked, seed, guidance, steps)
-        field = InformationPotentialField(scene.goals, self.config.sigma)
+        return guidance, steps
 
-        def path(rows: Any, levels: Array) -> Path:
-            low, high = scene.workspace
-            inside = scene.contains(path_curve(drawn[rows], SCORE_POINTS), 1e-6).all(-1)
-            return Path(
-                scene, target, levels, np.clip(drawn[rows], low, high), ~inside, field,
-                self.config.alpha, self.config.label,
-            )  # fmt: skip
-
-        if num_candidates > 1:
-            archive = self.archive(scene, target)
-            errors = np.abs(archive.label_of(path(slice(None), asked).score) - asked)
-            best = np.argmin(errors.reshape(-1, num_candidates), axis=1)
-            rows = np.arange(len(best)) * num_candidates + best
-            return path(rows if levels.ndim else rows[0], levels)
-        return path(slice(None) if levels.ndim else 0, levels)
-
-    def archive(self, scene: Scene, target: int = 0) -> Archive:
-        """The archive of a scene as this model's labels mean it; the last ones are kept."""
-        config = self.config
-        return _archive(scene, target, config.sigma, config.alpha, config.label)
-
-    @torch.inference_mode()
-    def _draw(
+    def _draw_on_its_side(
         self,
-        scene: Scene,
-        target: int,
+        scenes: list[Scene],
+        targets: list[int],
         levels: Array,
         seed: int,
         guidance: float | None,
         steps: int | None,
     ) -> Array:
-        """One path for each of `levels (B,)`, `(B, K + 2, D)` [m]; its ends are exact."""
+        """`_draw`, but what lies on the wrong side of the straight line is drawn again.
+
+        Where the best way round changes with ℓ, a draw may fall between two ways. With anchored
+        labels the straight line's score tells: what is asked to be legible must not cost more than
+        it, what is asked to be ambiguous not less. Each attempt asks for a little less.
+        """
+        drawn = self._draw(scenes, targets, levels, seed, guidance, steps)
+        if self.config.label != "anchored":
+            return drawn
+        for attempt in range(1, _ATTEMPTS + 1):
+            wrong = self._wrong_side(scenes, targets, levels, drawn)
+            if not len(wrong):
+                break
+            one = len(scenes) == 1
+            drawn[wrong] = self._draw(
+                scenes if one else [scenes[i] for i in wrong],
+                targets if one else [targets[i] for i in wrong],
+                levels[wrong] * (1 - _LESS) ** attempt,
+                seed ^ attempt, guidance, steps,
+            )  # fmt: skip
+        return drawn
+
+    def _wrong_side(
+        self, scenes: list[Scene], targets: list[int], levels: Array, drawn: Array
+    ) -> NDArray[np.intp]:
+        """Indices of the paths that are clearly on the other side of the straight line than ℓ."""
+        ratio = np.empty(len(levels))
+        rows = [slice(None)] if len(scenes) == 1 else [slice(i, i + 1) for i in range(len(levels))]
+        for row, scene, target in zip(rows, scenes, targets, strict=True):
+            field = InformationPotentialField(scene.goals, self.config.sigma)
+            straight = np.linspace(scene.start, scene.goals[target], SCORE_POINTS)
+            curves = np.clip(path_curve(drawn[row], SCORE_POINTS), *scene.workspace)
+            curves = np.concatenate([curves, straight[None]])
+            costs = -legibility_score(curves, field, target, self.config.alpha)
+            ratio[row] = (costs[:-1] + _LEAST_COST) / (costs[-1] + _LEAST_COST)
+        return np.flatnonzero(np.log(ratio) * np.sign(levels) > _CLEARLY)
+
+    @torch.inference_mode()
+    def _draw(
+        self,
+        scenes: list[Scene],
+        targets: list[int],
+        levels: Array,
+        seed: int,
+        guidance: float | None,
+        steps: int | None,
+    ) -> Array:
+        """One path for each of `levels (B,)`, `(B, K + 2, D)` [m]; its ends are exact.
+
+        In `B` scenes, or in one for all.
+        """
         model = self.path_diffuser
-        size = len(levels)
+        size, dim = len(levels), self.config.dim
         generator = torch.Generator().manual_seed(seed)
-        noise = torch.randn(size, NUM_WAYPOINTS, scene.dim, generator=generator)
+        noise = torch.randn(size, NUM_WAYPOINTS, dim, generator=generator)
         drawn = model.sample(
-            model.conditions([scene], [target]),
+            model.conditions(scenes, targets),
             torch.from_numpy(levels.astype(np.float32)),
             noise,
             guidance=guidance,
@@ -232,9 +393,12 @@ class Modulator:
         )
         if not torch.isfinite(drawn).all():
             raise CheckpointError(f"the model {self.name} drew a path that is not finite")
-        path = np.empty((size, NUM_WAYPOINTS + 2, scene.dim))
-        path[:, 1:-1] = Frame.of(scene, target).frame_to_world(drawn.double().numpy())
-        path[:, 0], path[:, -1] = scene.start, scene.goals[target]
+        found = drawn.double().numpy()
+        path = np.empty((size, NUM_WAYPOINTS + 2, dim))
+        rows = [slice(None)] if len(scenes) == 1 else list(range(size))
+        for row, scene, target in zip(rows, scenes, targets, strict=True):
+            path[row, 1:-1] = Frame.of(scene, target).frame_to_world(found[row])
+            path[row, 0], path[row, -1] = scene.start, scene.goals[target]
         return path
 
     def _check_scene(self, scene: Scene) -> None:
@@ -244,11 +408,6 @@ class Modulator:
             raise InvalidSceneError(
                 f"the model {self.name} plans in {self.config.dim}D, the scene is {scene.dim}D"
             )
-
-
-@lru_cache(maxsize=32)
-def _archive(scene: Scene, target: int, sigma: float, alpha: float, label: str) -> Archive:
-    return build_archive(scene, target, sigma=sigma, alpha=alpha, label=label)
 
 
 def pretrained_folder(name_or_folder: str | FilePath) -> FilePath:
@@ -272,3 +431,84 @@ def pretrained_names() -> list[str]:
     if not _WEIGHTS.is_dir():
         return []
     return sorted(p.name for p in _WEIGHTS.iterdir() if (p / "config.json").is_file())
+
+
+def levels_for(size: int, legibility: ArrayLike) -> Array:
+    """ℓ `(size,)` of one for all or of as many."""
+    levels = legibility_levels(legibility)
+    if levels.ndim and len(levels) != size:
+        raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
+    return np.broadcast_to(levels, (size,)).copy()
+
+
+def save_stage(
+    folder: str | FilePath, stage: str, model: torch.nn.Module, training: dict[str, Any] | None
+) -> None:
+    """Write the weights of one stage to `folder` and its entry to `config.json` there.
+
+    Args:
+        folder: of the model; the other stage, if it is there, stays.
+        stage: `path` or `policy`.
+        model: the network.
+        training: how it was made.
+    """
+    folder = FilePath(folder)
+    entries = _read_config(folder) if (folder / "config.json").exists() else {}
+    weights = folder / f"{stage}.safetensors"
+    save_tensors(weights, model.state_dict())
+    entries[stage] = {
+        "config": model.config.to_dict(),  # pyright: ignore
+        "sha256": file_hash(weights),
+        "training": training,
+    }
+    write_json(folder / "config.json", {"format": _FORMAT, **dict(sorted(entries.items()))})
+
+
+def _read_config(folder: FilePath) -> dict[str, Any]:
+    """The entries of the stages in `config.json`, checked for their form."""
+    text = read_text(folder / "config.json", "model configuration", CheckpointError)
+    try:
+        content = json.loads(text)
+        if content.pop("format") != _FORMAT:
+            raise CheckpointError(f"{folder} has another format than {_FORMAT}")
+        for name, entry in content.items():
+            if name not in _STAGES or set(entry) != {"config", "sha256", "training"}:
+                raise CheckpointError(
+                    f"{folder}/config.json has an entry {name!r} that is not ours"
+                )
+    except CheckpointError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError) as cause:
+        raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
+    return content
+
+
+def _load_stage(folder: FilePath, name: str, entry: dict[str, Any]) -> Any:
+    config_type, network = _STAGES[name]
+    try:
+        model = network(config_type.from_dict(entry["config"]))
+    except CheckpointError:
+        raise
+    except (ValueError, KeyError, TypeError, RuntimeError) as cause:
+        raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
+    weights = folder / f"{name}.safetensors"
+    load_state(model, load_tensors(weights)[0], weights)
+    if file_hash(weights) != entry["sha256"]:
+        raise CheckpointError(f"{weights} is not the file that {folder / 'config.json'} names")
+    return model
+
+
+def _moved(scene: Scene, start: Array) -> Scene:
+    """The scene as it is for a robot that now stands at `start (D,)` [m]."""
+    if np.array_equal(start, scene.start):
+        return scene
+    return Scene(start, scene.goals, scene.workspace)
+
+
+def _or_straight(path: Path) -> Path:
+    """The path, or the straight line where the goal is nearer than in any scene of training."""
+    start, goal = path.waypoints[0], path.waypoints[-1]
+    if np.linalg.norm(goal - start) >= 2 * MIN_SEPARATION * path.scene.diagonal:
+        return path
+    line = start + np.linspace(0, 1, len(path.waypoints))[:, None] * (goal - start)
+    return replace(path, waypoints=line)

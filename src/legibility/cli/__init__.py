@@ -19,10 +19,13 @@ __all__ = ["main"]
 
 _VERBS = {
     "plan": "plan motions through a scene, one for each legibility asked",
+    "execute": "plan motions and execute them in the environment, side by side",
     "score": "rate trajectories of a CSV file by every metric; no model is needed",
     "data": "make a dataset of labelled trajectories, or describe one",
     "train path": "train stage 1, the path diffuser",
+    "train policy": "train stage 2, the path-guided policy",
     "evaluate dial": "measure achieved against asked legibility on scenes never seen",
+    "evaluate execution": "measure executed motions and what moves them on scenes never seen",
     "report": "render measurements as tables, figures and model cards",
 }
 _GROUPS = {

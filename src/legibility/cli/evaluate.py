@@ -1,4 +1,4 @@
-"""`legibility evaluate dial`."""
+"""`legibility evaluate dial` and `legibility evaluate execution`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
+from ..evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
 from ..modulator import Modulator
 from .options import MODEL, OutputFile, flags, made
 from .output import (
@@ -22,6 +23,7 @@ from .output import (
 )
 
 _Flags = flags(DialConfig)
+_Execution = flags(ExecutionConfig)
 
 
 def dial(
@@ -64,3 +66,44 @@ def dial(
             "" if least is None else number(least, 4), FIGURES[name].text,
         )  # fmt: skip
     show(rows, f"one plan on one core: {number(result['plan_ms'], 1)} ms")
+
+
+def execution(
+    evaluation: Annotated[Any, arg(constructor=_Execution)],
+    model: str = MODEL,
+    json: OutputFile = None,
+) -> None:
+    """Measure executed motions: success, dial, deviation and safety, and what stage 2 is good for.
+
+    Stage 2, also pushed and with a target that moves, is held against itself without the path, the
+    path's displacements in open loop, and the feedback controller that demonstrated.
+
+    Args:
+        evaluation: what is measured.
+        model: name of weights that came with the package, or a folder.
+        json: everything as JSON.
+    """
+    settings = made(ExecutionConfig, evaluation)
+    check_file(json, "JSON file")
+    modulator = Modulator.from_pretrained(model)
+    used = model_record(model)
+    with progress_bar("rollouts") as progress:
+        result = evaluate_execution(modulator, settings, progress=progress)
+    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
+    rows = table(
+        f"{model}, {settings.rollouts} rollouts in {settings.scenes} scenes",
+        "who", "success", "Spearman", "error of ℓ", "deviation", "wall", "what it is",
+        text_columns=1,
+    )  # fmt: skip
+    rows.columns[-1].justify = "left"
+    for name, figures in result["rows"].items():
+        rows.add_row(
+            name, number(figures["success"]["mean"], 4), number(figures["spearman"]["mean"], 4),
+            number(figures["error"]["mean"], 4), number(figures["deviation"]["mean"], 4),
+            str(figures["wall_contacts"]), ROWS[name],
+        )  # fmt: skip
+    show(
+        rows,
+        f"one control step on one core: {number(result['step_ms'], 2)} ms; "
+        f"{number(result['rollouts_per_second'], 0)} rollouts a second, 256 at once",
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -96,8 +97,18 @@ def flags(settings: type, *omitted: str) -> Any:
             kind = _OPTIONAL[kind]
         fields.append((field.name, kind, dataclasses.field(default=default)))
     return dataclasses.make_dataclass(
-        settings.__name__, fields, kw_only=True, namespace={"__doc__": settings.__doc__}
+        settings.__name__, fields, kw_only=True, namespace={"__doc__": _documentation(settings)}
     )
+
+
+def _documentation(settings: type) -> str:
+    """The docstring of a dataclass, with what its bases say of the fields that it inherits."""
+    text = inspect.cleandoc(settings.__doc__ or "")
+    for base in settings.__mro__[1:]:
+        if dataclasses.is_dataclass(base):
+            _, _, inherited = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
+            text += "\n" + inherited
+    return text
 
 
 def made(settings: type[Settings], given: Any, **rest: Any) -> Settings:

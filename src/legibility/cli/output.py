@@ -79,15 +79,15 @@ def check_folder(path: Path, what: str) -> None:
 
 
 def model_record(name_or_folder: str) -> dict[str, str]:
-    """Which weights were used: the name that was given and the hash of the file behind it."""
+    """Which weights were used: the name that was given and the hash of each stage's file."""
     from ..modulator import pretrained_folder
 
     folder = pretrained_folder(name_or_folder)
     try:
-        digest = file_hash(folder / "path.safetensors")
+        hashes = {f.stem: file_hash(f) for f in sorted(folder.glob("*.safetensors"))}
     except OSError as cause:
         raise CheckpointError(f"cannot read the weights of {name_or_folder}: {cause}") from cause
-    return {"name": name_or_folder, "sha256": digest}
+    return {"name": name_or_folder, **hashes}
 
 
 def write_report(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json as json_format
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
-from ..evaluation.card import dial_section, render_card, replace_table
+from ..evaluation.card import dial_section, execution_section, render_card, replace_table
 from ..evaluation.figures import dial_figure
 from ..files import read_text, write_bytes
 from .options import Folder, OutputFile
@@ -23,38 +24,55 @@ def report(
 ) -> None:
     """Render what `legibility evaluate` wrote: tables, figures and model cards.
 
-    Every DIR/dial-NAME.json becomes a text DIR/dial-NAME.md and a figure DIR/dial-NAME.png.
+    DIR holds, for weights NAME, dial-NAME.json of `evaluate dial`, closed-loop-NAME.json of the
+    same with --closed-loop, and execution-NAME.json of `evaluate execution`. Each becomes a text,
+    DIR/KIND-NAME.md, the first two a figure DIR/KIND-NAME.png too.
 
     Args:
         results: folder of the JSON files.
-        readme: a Markdown file whose part between the comments `dial-NAME` and `/dial-NAME` is
+        readme: a Markdown file whose part between the comments `KIND-NAME` and `/KIND-NAME` is
             replaced by the text.
         weights: a folder whose subfolder NAME, if there is one, gets its model card.
     """
     check_folder(results, "report")
-    files = sorted(results.glob("dial-*.json"))
-    if not files:
-        raise InvalidInputError(f"there is no dial-*.json in {results}")
-    for file in files:
-        name = file.stem.removeprefix("dial-")
-        document = _read(file)
-        try:
-            text = dial_section(document)
-            written = {file.with_suffix(".md"): text + "\n"}
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for kind in _KINDS:
+        for file in sorted(results.glob(f"{kind}-*.json")):
+            found.setdefault(file.stem.removeprefix(f"{kind}-"), {})[kind] = _read(file)
+    if not found:
+        raise InvalidInputError(
+            f"there is no {' or '.join(f'{k}-*.json' for k in _KINDS)} in {results}"
+        )
+    for name, documents in found.items():
+        for kind, document in documents.items():
+            file = results / f"{kind}-{name}.json"
+            try:
+                text = _KINDS[kind](document)
+            except (LookupError, TypeError, ValueError) as cause:
+                raise InvalidInputError(f"{file} is not what `evaluate` writes") from cause
             if readme is not None:
                 page = read_text(readme, "Markdown file")
-                written[readme] = replace_table(page, file.stem, text)
-            if weights is not None and (weights / name).is_dir():
-                card = render_card(name, _read(weights / name / "config.json"), document)
-                written[weights / name / "README.md"] = card
-        except InvalidInputError:
-            raise
-        except (LookupError, TypeError, ValueError) as cause:
-            raise InvalidInputError(f"{file} is not what `evaluate dial` writes") from cause
-        dial_figure(document["result"], file.with_suffix(".png"))
-        for path, content in written.items():
-            write_bytes(path, content.encode())
-        show(f"{file}: {document['command']}", text)
+                write_bytes(readme, replace_table(page, file.stem, text).encode())
+            if kind != "execution":
+                dial_figure(document["result"], file.with_suffix(".png"))
+            write_bytes(file.with_suffix(".md"), f"{text}\n".encode())
+            show(f"{file}: {document['command']}", text)
+        if weights is not None and (weights / name).is_dir():
+            config = _read(weights / name / "config.json")
+            try:
+                card = render_card(name, config, documents)
+            except InvalidInputError:
+                raise
+            except (LookupError, TypeError, ValueError) as cause:
+                raise InvalidInputError(f"cannot make the card of {name}: {cause!r}") from cause
+            write_bytes(weights / name / "README.md", card.encode())
+
+
+_KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "dial": dial_section,
+    "closed-loop": dial_section,
+    "execution": execution_section,
+}
 
 
 def _read(file: Path) -> dict[str, Any]:

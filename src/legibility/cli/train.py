@@ -1,20 +1,33 @@
-"""`legibility train path`."""
+"""`legibility train path` and `legibility train policy`."""
 
 from __future__ import annotations
 
 import json as json_format
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import torch
+from torch import nn
 from tyro.conf import arg
 
-from ..dataset import Dataset, generate
+from ..dataset import Dataset, DatasetConfig, generate
+from ..demonstrations import Demonstrations
 from ..errors import InvalidInputError
 from ..models.path_diffuser import PathDiffuserConfig
-from ..modulator import Modulator
-from ..training import LOG, TrainingConfig, choose_device, train_path
+from ..models.path_policy import PathPolicyConfig
+from ..modulator import save_stage
+from ..training import (
+    LOG,
+    PathTrainingConfig,
+    PolicyTrainingConfig,
+    TrainingConfig,
+    choose_device,
+    train_path,
+    train_policy,
+)
 from .options import Folder, OutputFile, flags, made
 from .output import (
     check_file,
@@ -27,20 +40,24 @@ from .output import (
     write_report,
 )
 
-_Training = flags(TrainingConfig)
-_Model = flags(PathDiffuserConfig, "dim", "sigma", "alpha", "label")  # the data fixes these
+_PathTraining = flags(PathTrainingConfig)
+_PathModel = flags(PathDiffuserConfig, "dim", "sigma", "alpha", "label")  # the data fixes these
+_PolicyTraining = flags(PolicyTrainingConfig)
+_PolicyModel = flags(PathPolicyConfig, "dim", "limit")
 _VALIDATION_SCENES = 128
+
+_Device = Annotated[str | None, arg(metavar="STR", help_behavior_hint="")]
 
 
 def path(
-    training: Annotated[Any, arg(constructor=_Training)],
-    model: Annotated[Any, arg(constructor=_Model)],
+    training: Annotated[Any, arg(constructor=_PathTraining)],
+    model: Annotated[Any, arg(constructor=_PathModel)],
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
     workers: int = 1,
     weights: Folder = None,
-    device: Annotated[str | None, arg(metavar="STR", help_behavior_hint="")] = None,
+    device: _Device = None,
     json: OutputFile = None,
 ) -> None:
     """Train stage 1, the path diffuser, and save its weights to OUT/weights.
@@ -59,44 +76,115 @@ def path(
         device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
     """
-    settings = made(TrainingConfig, training)
+    settings = made(PathTrainingConfig, training)
     check_file(json, "JSON file")
     dataset = Dataset.load(data)
     weights = weights or out / "weights"
     check_folder(out, "checkpoint")
     check_folder(weights, "weights")
-    checks = _validation(dataset, validation, out, workers)
+    checks = _validation(dataset.config, validation, out, workers)
+    facts = {"data": dataset.config.to_dict(), "digest": dataset.digest}
+
+    def run(progress: Callable[..., None]) -> nn.Module:
+        return train_path(
+            dataset, checks, out, settings, device=device, progress=progress, **vars(model)
+        )
+
+    _train("path", run, settings, facts, checks.digest, out, weights, device, json)
+
+
+def policy(
+    training: Annotated[Any, arg(constructor=_PolicyTraining)],
+    model: Annotated[Any, arg(constructor=_PolicyModel)],
+    data: Annotated[Path, arg(metavar="DIR")],
+    out: Annotated[Path, arg(metavar="DIR")],
+    validation: Folder = None,
+    workers: int = 1,
+    weights: Folder = None,
+    device: _Device = None,
+    json: OutputFile = None,
+) -> None:
+    """Train stage 2, the path-guided policy, and save its weights to OUT/weights.
+
+    Loss and closed-loop validation go to OUT/log.jsonl, and with the extra named train to
+    OUT/tensorboard too. Interrupted, the same command resumes from the last checkpoint.
+
+    Args:
+        training: how it is trained.
+        model: the network.
+        data: folder of the demonstrations, made by `legibility data --demonstrations`.
+        out: folder of the log, the checkpoint and the weights.
+        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
+        workers: processes that make the validation data.
+        weights: where the weights are saved, beside those of stage 1 if they are there;
+            OUT/weights if not given.
+        device: cpu or cuda; if not given, a GPU where there is one.
+        json: the settings and the last validation as JSON.
+    """
+    settings = made(PolicyTrainingConfig, training)
+    check_file(json, "JSON file")
+    demonstrations = Demonstrations.load(data)
+    weights = weights or out / "weights"
+    check_folder(out, "checkpoint")
+    check_folder(weights, "weights")
+    checks = _validation(demonstrations.dataset, validation, out, workers)
+    facts = {
+        "data": demonstrations.dataset.to_dict(),
+        "demonstrations": {**asdict(demonstrations.config), "number": len(demonstrations)},
+        "digest": demonstrations.digest,
+    }
+
+    def run(progress: Callable[..., None]) -> nn.Module:
+        return train_policy(
+            demonstrations, checks, out, settings, device=device, progress=progress, **vars(model)
+        )
+
+    _train("policy", run, settings, facts, checks.digest, out, weights, device, json)
+
+
+def _train(
+    stage: str,
+    run: Callable[[Callable[..., None]], nn.Module],
+    settings: TrainingConfig,
+    facts: dict[str, Any],
+    validation: str,
+    out: Path,
+    weights: Path,
+    device: str | None,
+    json: Path | None,
+) -> None:
+    """Train a stage under a progress bar, save its weights and tell what became of it."""
     with progress_bar("steps") as progress:
 
         def report(step: int, steps: int, figures: dict[str, float]) -> None:
             progress(step, steps, _line(step, figures))
 
-        trained = train_path(
-            dataset, checks, out, settings, device=device, progress=report, **vars(model)
-        )
+        trained = run(report)
+    log = [json_format.loads(r) for r in (out / LOG).read_text(encoding="utf-8").splitlines()]
     last: dict[str, float] = {}
-    for row in (out / LOG).read_text(encoding="utf-8").splitlines():
-        last |= json_format.loads(row)
+    for row in log:
+        last |= row
     parameters = sum(p.numel() for p in trained.parameters())
     made_by = {
-        "data": dataset.config.to_dict(),
-        "digest": dataset.digest,
+        **facts,
         "training": asdict(settings),
         "parameters": parameters,
         "seconds": last["seconds"],
+        "step_seconds": _step_seconds(log),
         "device": str(choose_device(device)),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
-    Modulator(trained, training=made_by).save_pretrained(weights)
+    save_stage(weights, stage, trained, made_by)
+    network: Any = trained.config
     write_report(
         json,
         seed=settings.seed,
-        config={"training": asdict(settings), "path": trained.config.to_dict()},
+        config={"training": asdict(settings), stage: network.to_dict()},
         model=model_record(str(weights)),
         result={
-            "data": dataset.digest,
-            "validation": checks.digest,
+            "data": facts["digest"],
+            "validation": validation,
             "parameters": parameters,
             "last": last,
         },
@@ -109,22 +197,29 @@ def path(
     show(rows, f"weights: {weights}")
 
 
-def _validation(data: Dataset, folder: Path | None, out: Path, workers: int) -> Dataset:
-    """The dataset that the dial is measured on while training, made like the data if not given."""
+def _step_seconds(log: list[dict[str, float]]) -> float:
+    """Time of a step [s] that the quickest tenth of the log keeps to, as if nothing else ran."""
+    times = np.array([[row["step"], row["seconds"]] for row in log])
+    steps, seconds = np.diff(times, axis=0, prepend=np.zeros((1, 2))).T
+    return float(np.quantile(seconds / steps, 0.1))
+
+
+def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: int) -> Dataset:
+    """The dataset that a stage is measured on while training, made like the data if not given."""
     if folder is not None:
         return Dataset.load(folder)
-    if data.config.stream == "validation":
+    if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
-    config = replace(data.config, stream="validation", scenes=_VALIDATION_SCENES)
+    config = replace(config, stream="validation", scenes=_VALIDATION_SCENES)
     with progress_bar("shards for validation") as progress:
         return generate(config, out / "validation", workers=workers, progress=progress)
 
 
 def _line(step: int, figures: dict[str, float]) -> str:
-    """A line of the validation of the dial, empty between them."""
-    dial = {k.removeprefix("validation_"): v for k, v in figures.items() if k.startswith("valid")}
-    if not dial:
+    """A line of a validation, empty between them."""
+    found = {k.removeprefix("validation_"): v for k, v in figures.items() if k.startswith("valid")}
+    if not found:
         return ""
     if "loss" in figures:
-        dial = {"loss": figures["loss"], **dial}
-    return "  ".join([f"step {step}", *(f"{k} {number(v, 4)}" for k, v in dial.items())])
+        found = {"loss": figures["loss"], **found}
+    return "  ".join([f"step {step}", *(f"{k} {number(v, 4)}" for k, v in found.items())])

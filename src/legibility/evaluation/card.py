@@ -7,8 +7,9 @@ from typing import Any
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
 from .dial import FIGURES, worst
+from .execution import ROWS
 
-__all__ = ["dial_section", "dial_table", "render_card", "replace_table"]
+__all__ = ["dial_section", "dial_table", "execution_section", "render_card", "replace_table"]
 
 
 def dial_table(document: dict[str, Any]) -> str:
@@ -31,13 +32,53 @@ def dial_table(document: dict[str, Any]) -> str:
 def dial_section(document: dict[str, Any]) -> str:
     """The table, what it was measured on and by which command, in Markdown."""
     config, result = document["config"], document["result"]
+    if config["closed_loop"]:
+        how = """\
+Every path is executed by stage 2 in BlockReach2D, with a hidden gain and lag of its own, and what
+is scored is the executed motion."""
+    else:
+        how = f"""\
+One path is drawn for a sample; only the row "with candidates" takes the nearest of
+{config["candidates"]}. One plan took {result["plan_ms"]:.1f} ms on one core."""
     return f"""\
 On {len(result["scenes"])} random scenes with {config["goals"][0]} to {config["goals"][1]} goals
 that training never drew (seed {document["seed"]}), {len(result["levels"])} levels of ℓ,
-{config["samples"]} paths each. One path is drawn for a sample; only the row "with candidates" takes
-the nearest of {config["candidates"]}. One plan took {result["plan_ms"]:.1f} ms on one core.
+{config["samples"]} paths each. {how}
 
 {dial_table(document)}
+
+Measured by `{document["command"]}`."""
+
+
+def execution_section(document: dict[str, Any]) -> str:
+    """Executed motions by stage 2 and by what it is held against, in Markdown."""
+    config, result = document["config"], document["result"]
+    table = [
+        "| what moves the robot | success (95 % interval) | Spearman | error of ℓ "
+        "| distance from the curve | stopped early |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, row in result["rows"].items():
+        low, high = row["success"]["interval"]
+        ends = [f"{n} {reason}" for reason, n in row["reasons"].items() if reason != "reached"]
+        table.append(
+            f"| {ROWS[name]} | {row['success']['mean']:.2%} ({low:.2%} to {high:.2%}) "
+            f"| {row['spearman']['mean']:.4f} | {row['error']['mean']:.4f} "
+            f"| {row['deviation']['mean']:.2%} | {', '.join(ends)} |"
+        )
+    kinds = ("states_outside", "actions_not_finite", "actions_over_limit", "wall_contacts")
+    found = [sum(row[kind] for row in result["rows"].values()) for kind in kinds]
+    return f"""\
+{config["rollouts"]:,} rollouts a row on {config["scenes"]} random scenes with {config["goals"][0]}
+to {config["goals"][1]} goals that training never drew (seed {document["seed"]}), ℓ uniform in
+[−1, 1], hidden gain and lag; the rows share scenes, levels and gains. The distance from the planned
+curve is a share of its length. In all rows together {found[0]} states were outside the workspace,
+{found[1]} actions not finite, {found[2]} over the limit, and {found[3]} steps were stopped by a
+wall. One control step took {result["step_ms"]:.2f} ms on one core, the policy included and
+amortised over its chunk; with 256 robots at once {result["rollouts_per_second"]:.0f} rollouts a
+second were planned and executed.
+
+{chr(10).join(table)}
 
 Measured by `{document["command"]}`."""
 
@@ -52,20 +93,41 @@ def replace_table(text: str, name: str, table: str) -> str:
     return f"{head}{begin}\n{table}\n{end}{tail}"
 
 
-def render_card(name: str, config: dict[str, Any], document: dict[str, Any]) -> str:
-    """The model card of weights, from `config.json` and the JSON of `legibility evaluate dial`.
+def render_card(name: str, config: dict[str, Any], documents: dict[str, dict[str, Any]]) -> str:
+    """The model card of weights, from `config.json` and the JSON of the evaluations.
+
+    Args:
+        name: of the weights.
+        config: the content of `config.json`.
+        documents: by kind, `dial` and, with a stage 2, `closed-loop` and `execution`.
 
     Raises:
-        InvalidInputError: the measurement is of other weights, or how they were made is not known.
+        InvalidInputError: a measurement is missing or of other weights, or how they were made is
+            not known.
     """
-    if document["model"]["sha256"] != config["sha256"]:
-        raise InvalidInputError(f"the measurement is of other weights than those of {name}")
-    if not config.get("training"):
-        raise InvalidInputError(f"the configuration of {name} does not say how it was trained")
-    path, training = config["path"], config["training"]
+    stages = {stage: entry for stage, entry in config.items() if stage != "format"}
+    needed = {"dial": ["path"]}
+    if "policy" in stages:
+        needed |= {"closed-loop": ["path", "policy"], "execution": ["path", "policy"]}
+    for kind, used in needed.items():
+        if kind not in documents:
+            raise InvalidInputError(f"there is no {kind}-{name}.json beside the other measurements")
+        for stage in used:
+            if documents[kind]["model"].get(stage) != stages[stage]["sha256"]:
+                raise InvalidInputError(
+                    f"the measurement {kind}-{name}.json is of other weights than those of {name}"
+                )
+    for stage, entry in stages.items():
+        if not entry["training"]:
+            raise InvalidInputError(
+                f"the configuration of {name} does not say how its {stage} was trained"
+            )
+    path, training = stages["path"]["config"], stages["path"]["training"]
     data = training["data"]
-    minutes = training["seconds"] / 60
-    return f"""---
+    does = _STAGE_1 + (" " + _STAGE_2 if "policy" in stages else "")
+    parts = [
+        f"""\
+---
 license: mit
 library_name: legibility
 tags: [robotics, human-robot-interaction, legibility, diffusion]
@@ -73,9 +135,8 @@ tags: [robotics, human-robot-interaction, legibility, diffusion]
 
 # {name}
 
-Stage 1 of the Legibility Modulator, the intent-aware path diffuser, for {path["dim"]}-D block
-reaching: from start, goals and ℓ in [−1, 1] to {NUM_WAYPOINTS} waypoints. Use it with
-`legibility.Modulator.from_pretrained("{name}")`.
+The Legibility Modulator for {path["dim"]}-D block reaching. {does}
+Use it with `legibility.Modulator.from_pretrained("{name}")`.
 
 ## Data
 
@@ -84,20 +145,57 @@ reaching: from start, goals and ℓ in [−1, 1] to {NUM_WAYPOINTS} waypoints. U
 ℓ from its quality-diversity archive; labels `{path["label"]}`, σ = {path["sigma"]} m,
 α = {path["alpha"]}. SHA-256 over the shards: `{training["digest"]}`.
 
-## Training
+## Training of stage 1
 
-{training["parameters"]:,} parameters; {training["training"]["steps"]:,} steps of
-{training["training"]["scenes"]} scenes × {training["training"]["per_scene"]} trajectories, seed
-{training["training"]["seed"]}, in {minutes:.0f} minutes on {training["device"]}
-({training["threads"]} threads, PyTorch {training["torch"]}).
+{_trained(training, "{scenes} scenes × {per_scene} trajectories")}
 
 ## How exact the dial is
 
-{dial_section(document)}
+{dial_section(documents["dial"])}"""
+    ]
+    if "policy" in stages:
+        policy = stages["policy"]["training"]
+        shown = policy["demonstrations"]
+        parts.append(f"""\
+## Training of stage 2
 
+{shown["number"]:,} demonstrations, {shown["demonstrations"]} in each of {shown["demonstrated"]:,}
+scenes of the same data: a feedback controller follows paths of the archive in BlockReach2D, with
+noise of {1e3 * shown["noise"]:g} mm a step and, in {shown["pushed"]:.0%}, a push of
+{1e2 * shown["push"]:g} cm. SHA-256 over the shards: `{policy["digest"]}`.
+
+{_trained(policy, "{batch} steps of demonstrations")}
+
+## How well motions are executed
+
+{execution_section(documents["execution"])}
+
+## How exact the dial of executed motions is
+
+{dial_section(documents["closed-loop"])}""")
+    parts.append(f"""\
 ## Limits
 
 The observer is a model (a Gaussian around each goal), not a person. It was trained on the
 default workspace of {path["dim"]}-D scenes alone; obstacles are not known. Labels are ranks within
 a scene's archive: the same ℓ is a different score in another scene.
-"""
+""")
+    return "\n\n".join(parts)
+
+
+_STAGE_1 = f"""Stage 1, the intent-aware path
+diffuser: from start, goals and ℓ in [−1, 1] to {NUM_WAYPOINTS} waypoints."""
+
+_STAGE_2 = """Stage 2, the path-guided policy:
+from two states, goal and path to actions, closed loop."""
+
+
+def _trained(training: dict[str, Any], batch: str) -> str:
+    settings = training["training"]
+    alone = settings["steps"] * training["step_seconds"] / 60
+    return f"""\
+{training["parameters"]:,} parameters; {settings["steps"]:,} steps of
+{batch.format(**settings)}, seed {settings["seed"]}, in {training["seconds"] / 60:.0f} minutes on
+{training["device"]} ({training["threads"]} threads, PyTorch {training["torch"]}), validation
+included. The machine is shared: by the quickest tenth of the log the steps alone take {alone:.0f}
+minutes."""

@@ -13,8 +13,10 @@ import torch
 from ..checks import Array, count
 from ..curves import arc_length
 from ..dataset import DatasetConfig
+from ..envs.block_reach_2d import BlockReach2DVector
 from ..modulator import Modulator
 from ..motion.archive import Archive
+from ..path import Path
 from ..scene import Scene, stream_seed
 from .statistics import rank_correlation, summary
 
@@ -43,8 +45,10 @@ FIGURES = {
     ),
     "wrong_order": Figure("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
     "spread": Figure("standard deviation of the achieved ℓ among samples of a level", None),
+    "success": Figure("share of rollouts that reached the target", np.inf),
+    "deviation": Figure("mean distance from the planned curve over its length", -np.inf),
 }
-"""What is measured of each scene."""
+"""What is measured of each scene; the last two of executed motions only."""
 
 
 def worst(name: str, figures: dict[str, float]) -> float | None:
@@ -70,6 +74,8 @@ class DialConfig:
         candidates: paths drawn for the nearest of them, measured besides; 0 leaves it out.
         guidance: weight of classifier-free guidance at ±1; the model's own if not given.
         steps: of the sampler; the model's own if not given.
+        closed_loop: whether the paths are executed, each with a hidden gain and lag of its own, and
+            what is measured is the executed motion.
     """
 
     scenes: int = 200
@@ -80,6 +86,7 @@ class DialConfig:
     candidates: int = 16
     guidance: float | None = None
     steps: int | None = None
+    closed_loop: bool = False
 
     def __post_init__(self) -> None:
         count("levels", self.levels, low=3)
@@ -144,39 +151,61 @@ def _measure(
     seed = int(draw.generate_state(1, np.uint64)[0] >> 2)
     asked = np.repeat(levels, config.samples)
     path = modulator.plan(scene, 0, asked, seed=seed, **options)
-    achieved = archive.label_of(path.score)
+    zero = np.abs(asked) == np.abs(levels).min()
+    if config.closed_loop:
+        score, curves, figures = _executed(modulator, path, seed)
+    else:
+        score, curves = path.score, path.trajectory(200)
+        figures = {"drawn_inside": float(1 - np.mean(path.clipped))}
+        if config.candidates:
+            # Chosen by an archive of the modulator's own, as a user's are; judged by this one.
+            nearest = modulator.plan(
+                scene, 0, levels, seed=seed, num_candidates=config.candidates, **options
+            )
+            found = archive.label_of(nearest.score)
+            figures["error_candidates"] = float(np.abs(found - levels).mean())
+    achieved = archive.label_of(score)
     table = achieved.reshape(len(levels), config.samples)
     means = table.mean(axis=1)
-    zero = np.abs(levels) == np.abs(levels).min()
-    length = arc_length(path.trajectory()) / np.linalg.norm(scene.goals[0] - scene.start)
-    scores = path.score.reshape(len(levels), -1)
+    length = arc_length(curves) / np.linalg.norm(scene.goals[0] - scene.start)
+    scores = score.reshape(table.shape)
     beyond = np.concatenate([scores[0] < archive.scores.min(), scores[-1] > archive.scores.max()])
-    figures = {
+    figures |= {
         "spearman": rank_correlation(asked, achieved),
         "error": float(np.abs(achieved - asked).mean()),
         "at_-1": float(means[0]),
-        "at_0": float(means[zero].mean()),
+        "at_0": float(table.ravel()[zero].mean()),
         "at_1": float(means[-1]),
         "beyond_archive": float(beyond.mean()),
-        "inside": float(scene.contains(path.trajectory(200)).all(-1).mean()),
-        "drawn_inside": float(1 - np.mean(path.clipped)),
-        "length_ratio_at_0": float(length.reshape(len(levels), -1)[zero].mean()),
+        "inside": float(scene.contains(curves).all(-1).mean()),
+        "length_ratio_at_0": float(length[zero].mean()),
         "wrong_order": float((np.diff(means) < 1e-9).mean()),
         "spread": float(table.std(axis=1).mean()),
     }
-    if config.candidates:
-        # Chosen by an archive of the modulator's own, as a user's are; judged by this one.
-        nearest = modulator.plan(
-            scene, 0, levels, seed=seed, num_candidates=config.candidates, **options
-        )
-        found = archive.label_of(nearest.score)
-        figures["error_candidates"] = float(np.abs(found - levels).mean())
     by_level = {
         "achieved": means,
         "error_by_level": np.abs(table - levels[:, None]).mean(axis=1),
         "drawn_inside_by_level": 1 - path.clipped.reshape(table.shape).mean(axis=1),
     }
     return {**figures, **{name: values.tolist() for name, values in by_level.items()}}
+
+
+def _executed(modulator: Modulator, path: Path, seed: int) -> tuple[Array, Array, dict[str, float]]:
+    """Scores `(B,)` and curves `(B, T, D)` [m] of the executed paths, and how well they went."""
+    size = len(path.waypoints)
+    env = BlockReach2DVector(size)
+    env.reset(seed=seed, options={"scene": path.scene, "target": path.target})
+    rollouts = modulator.execute(
+        env, legibility=path.legibility, seed=seed, path=[path[i] for i in range(size)]
+    )
+    assert isinstance(rollouts, list)
+    off = [r.deviation.mean() for r in rollouts] / path.length
+    figures = {
+        "success": float(np.mean([r.success for r in rollouts])),
+        "deviation": float(np.mean(off)),
+    }
+    score = np.array([r.score for r in rollouts])
+    return score, np.stack([r.trajectory(200) for r in rollouts]), figures
 
 
 def plan_milliseconds(

@@ -24,19 +24,30 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import ArrayLike
 
 from ..checks import Array
+from ..colors import GOALS, INK, MUTED
 from ..errors import InvalidInputError, OutputError
 from ..files import atomic_path
 from ..intent.field import InformationPotentialField
 from ..scene import Scene
 
 if TYPE_CHECKING:
-    from ..modulator import Path
+    from ..path import Path
 
-__all__ = ["archive_figure", "dial_figure", "plan_figure"]
+__all__ = [
+    "HALO",
+    "STYLE",
+    "archive_figure",
+    "dial_figure",
+    "figure_file",
+    "flat",
+    "goal_colors",
+    "plan_figure",
+    "scene_axes",
+]
 
 _COLUMN, _PAGE = 3.5, 7.16  # widths [in] of one column and of both, IEEE
 
-_STYLE = {
+STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that it is the same everywhere
     "font.size": 8,
     "mathtext.fontset": "dejavusans",
@@ -60,8 +71,8 @@ _STYLE = {
 }
 _METADATA = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}  # without the time
 
-_INK, _MUTED, _TARGET = "#222222", "#8a8a8a", "#c1121f"
-_OTHERS = ("#009e73", "#0072b2", "#e69f00", "#cc79a7", "#56b4e9", "#7f5539")
+_INK, _MUTED = INK, MUTED
+_TARGET, *_OTHERS = GOALS
 _REDS = LinearSegmentedColormap.from_list(
     "legibility", ["#f59b80", "#ee664b", "#cf2330", "#8d0f22", "#3f0714"]
 )
@@ -74,7 +85,7 @@ _POTENTIALS = (0.1, 0.7, 2.3, 7, 21, np.inf)
 """φ [nat] at which the background's shade changes: P(g*|x) is 0.9, 0.5, 0.1, ..."""
 _SHADES = ("#f7f7f8", "#efeff1", "#e7e7ea", "#dfdfe3", "#d7d7dc")
 _DASHED, _DOTTED = (0, (3.2, 1.2)), (0, (1, 2))
-_HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
+HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 
 _BLOCK = {2: 0.035, 3: 0.05}
 """Side of a goal's block as a share of the workspace's diagonal, by dimension."""
@@ -110,14 +121,14 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
         "colors": colors,
         "linewidths": 1.5 if few else 0.7,
         "linestyles": [_DASHED if abs(level) < 1e-6 else "solid" for level in levels],
-        "path_effects": _HALO if few else None,
+        "path_effects": HALO if few else None,
     }
 
-    with _figure(file, _PAGE if several else 0.62 * _PAGE, 2.5) as figure:
+    with figure_file(file, _PAGE if several else 0.62 * _PAGE, 2.5) as figure:
         panels = _panels(
             figure, scene, 3 if several else 2, room=1.95, margin=1.5 if several else 0.8
         )
-        axes = _scene_axes(figure, panels[0], scene, target, curves, path.field)
+        axes = scene_axes(figure, panels[0], scene, target, curves, path.field)
         _add_lines(axes, curves, **lines)
         if num <= 11:
             for points, color in zip(waypoints[:, 1:-1], colors, strict=True):
@@ -180,9 +191,9 @@ def archive_figure(
     counts, edges = np.histogram(everything, bins=_BINS, range=(-1, 1))
     centres = (edges[1:] + edges[:-1]) / 2
 
-    with _figure(file, _COLUMN, 1.85) as figure:
+    with figure_file(file, _COLUMN, 1.85) as figure:
         panels = _panels(figure, scene, 2, room=1.35, margin=0.6)
-        axes = _scene_axes(figure, panels[0], scene, target, trajectories)
+        axes = scene_axes(figure, panels[0], scene, target, trajectories)
         _add_lines(
             axes, trajectories[order], colors=_DIVERGING(_LABELS(labels[order])),
             linewidths=float(np.clip(9 / num**0.5, 0.35, 1.2)), rasterized=num > 300,
@@ -227,7 +238,7 @@ def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
     except (KeyError, TypeError, ValueError) as cause:
         raise InvalidInputError(f"not a result of `legibility evaluate dial`: {cause!r}") from cause
 
-    with _figure(file, _COLUMN, 2.05) as figure:
+    with figure_file(file, _COLUMN, 2.05) as figure:
         left, right = figure.subplots(1, 2)
         _asked_and_achieved(left)
         left.set_title(order)
@@ -251,12 +262,12 @@ def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
 
 
 @contextlib.contextmanager
-def _figure(file: str | FilePath, width: float, height: float) -> Iterator[Figure]:
+def figure_file(file: str | FilePath, width: float, height: float) -> Iterator[Figure]:
     """A figure of `width` × `height` [in] in the shared style, written to `file` on success."""
     suffix = FilePath(file).suffix.lower()
     if suffix not in _METADATA:
         raise OutputError(f"cannot write {file}: a figure must end in {', '.join(_METADATA)}")
-    with style.context(["default", _STYLE]):
+    with style.context(["default", STYLE]):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
         with atomic_path(file) as temporary:
@@ -271,18 +282,21 @@ def _panels(figure: Figure, scene: Scene, num: int, *, room: float, margin: floa
     return figure.add_gridspec(1, num, width_ratios=[width, *[rest] * (num - 1)])
 
 
-def _scene_axes(
+def scene_axes(
     figure: Figure,
     cell: Any,
     scene: Scene,
     target: int,
     curves: Array,
     field: InformationPotentialField | None = None,
+    blocks: float = 1.0,
 ) -> Any:
-    """Axes with start and goals to scale, over the target's potential if a field is given."""
-    side = _BLOCK[scene.dim] * scene.diagonal
-    colors = [_OTHERS[i % len(_OTHERS)] for i in range(scene.num_goals - 1)]
-    colors.insert(target, _TARGET)
+    """Axes with start and goals to scale, over the target's potential if a field is given.
+
+    The goals' blocks are drawn `blocks` times as large as usual.
+    """
+    side = blocks * _BLOCK[scene.dim] * scene.diagonal
+    colors = goal_colors(scene.num_goals, target)
     (x0, y0), (x1, y1) = scene.workspace[:, :2]
     ground = {}
     if scene.dim == 2:
@@ -313,6 +327,13 @@ def _scene_axes(
     return axes
 
 
+def goal_colors(num_goals: int, target: int) -> list[str]:
+    """Of each goal, the target's always the same."""
+    colors = [_OTHERS[i % len(_OTHERS)] for i in range(num_goals - 1)]
+    colors.insert(target, _TARGET)
+    return colors
+
+
 def _table_axes(figure: Figure, cell: Any, corners: Array) -> Any:
     """3-D axes over the box between `corners (2, 3)` [m], as large as fits, and its floor."""
     axes: Any = figure.add_subplot(cell, projection="3d", proj_type="ortho", computed_zorder=False)
@@ -322,13 +343,13 @@ def _table_axes(figure: Figure, cell: Any, corners: Array) -> Any:
     sides = corners[1] - corners[0]
     axes.set_box_aspect(tuple(sides))
     box = corners.mean(axis=0) + _CUBE * sides / 2
-    shares = axes.transLimits.transform(_flat(axes, box.reshape(-1, 3)))  # of the axes' room
+    shares = axes.transLimits.transform(flat(axes, box.reshape(-1, 3)))  # of the axes' room
     axes.set_box_aspect(tuple(sides), zoom=0.5 / np.abs(shares - 0.5).max())
     axes.add_collection3d(Poly3DCollection(box[4:5], fc="none", ec=_MUTED, lw=0.7, zorder=1))
     return axes
 
 
-def _flat(axes: Any, points: Array) -> Array:
+def flat(axes: Any, points: Array) -> Array:
     """Where `points (N, D)` [m] lie in the plane of the axes, `(N, 2)`."""
     if points.shape[-1] == 2:
         return points
@@ -345,16 +366,16 @@ def _name_ends(figure: Figure, axes: Any, scene: Scene, target: int, curves: Arr
     points = np.concatenate(
         [curves.reshape(-1, dim), ends[:1], np.tile(blocks.reshape(-1, dim), (25, 1))]
     )
-    taken = axes.transData.transform(_flat(axes, points))
+    taken = axes.transData.transform(flat(axes, points))
     angle = np.deg2rad(np.arange(0, 360, 15))
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     other = np.full(2, np.inf)
     for text, end, color in zip(
-        ("start", "target"), _flat(axes, ends), (_INK, _TARGET), strict=True
+        ("start", "target"), flat(axes, ends), (_INK, _TARGET), strict=True
     ):
         note = axes.annotate(
             text, end, (0, 0), textcoords="offset points", ha="center", va="center", color=color,
-            zorder=8, path_effects=_HALO, in_layout=False,
+            zorder=8, path_effects=HALO, in_layout=False,
         )  # fmt: skip
         half = np.array(note.get_window_extent().size) / 2 + point
         offsets = np.concatenate([ring * (reach * point + half) for reach in (4, 8, 12)])

@@ -1,4 +1,4 @@
-"""Statistics of the evaluations: bootstrap intervals over scenes."""
+"""Statistics of the evaluations: intervals over scenes and of shares."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ..checks import Array
 
-__all__ = ["bootstrap_interval", "rank_correlation", "summary"]
+__all__ = ["bootstrap_interval", "rank_correlation", "share_interval", "summary"]
 
 
 def bootstrap_interval(
@@ -41,6 +41,14 @@ def rank_correlation(asked: Array, achieved: Array) -> float:
     ranks -= ranks.mean(axis=1, keepdims=True)
     norms = np.linalg.norm(ranks, axis=1)
     return float(ranks[0] @ ranks[1] / norms.prod()) if norms.all() else 0.0
+
+
+def share_interval(happened: np.ndarray, level: float = 0.95) -> tuple[float, float]:
+    """Exact interval (Clopper & Pearson 1934) of the share of `happened (N,)` bool."""
+    from scipy.stats import binomtest
+
+    found = binomtest(int(happened.sum()), len(happened)).proportion_ci(level, method="exact")
+    return float(found.low), float(found.high)
 
 
 def summary(values: Array) -> dict[str, float | list[float]]:

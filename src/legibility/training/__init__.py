@@ -1,16 +1,22 @@
 """How weights are made: one loop for every model, and what each is trained on."""
 
 from .loop import CHECKPOINT, LOG, TrainingConfig, choose_device, train
-from .path import FrameScorer, PathBatches, train_path, validate_dial
+from .path import FrameScorer, PathBatches, PathTrainingConfig, train_path, validate_dial
+from .policy import PolicyBatches, PolicyTrainingConfig, train_policy, validate_policy
 
 __all__ = [
     "CHECKPOINT",
     "LOG",
     "FrameScorer",
     "PathBatches",
+    "PathTrainingConfig",
+    "PolicyBatches",
+    "PolicyTrainingConfig",
     "TrainingConfig",
     "choose_device",
     "train",
     "train_path",
+    "train_policy",
     "validate_dial",
+    "validate_policy",
 ]

@@ -1,0 +1,125 @@
+"""`legibility execute`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+from .options import MODEL, OutputFile, SceneFile, levels
+from .output import (
+    check_figure,
+    check_file,
+    model_record,
+    number,
+    show,
+    table,
+    write_report,
+)
+
+
+def execute(
+    scene: SceneFile,
+    target: int = 0,
+    legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1"),
+    model: str = MODEL,
+    seed: int = 0,
+    noise: float = 0.0,
+    push: float = 0.0,
+    shift: float = 0.0,
+    replan: bool = True,
+    figure: OutputFile = None,
+    video: OutputFile = None,
+    json: OutputFile = None,
+    csv: OutputFile = None,
+) -> None:
+    """Plan motions and execute them, closed loop, in BlockReach2D.
+
+    Args:
+        scene: a file, .yaml or .json, with the keys start and goals.
+        target: index of the goal that is meant, from 0.
+        legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
+        model: name of weights that came with the package, or a folder.
+        seed: of the paths and actions drawn and of the environment's hidden gain and lag.
+        noise: standard deviation of each step's displacement [m].
+        push: the robot is pushed by so much [m] on its way.
+        shift: the target is moved by so much [m] on the way.
+        replan: plan again where a push or a shift has taken the robot off its path.
+        figure: motions side by side and the belief under each, .png, .pdf or .svg.
+        video: the same as a film, .gif or, with ffmpeg, .mp4.
+        json: everything as JSON.
+        csv: the executed trajectories as CSV, the format that `legibility score` reads.
+    """
+    from ..checks import random_seed, target_index
+    from ..envs.block_reach_2d import BlockReach2DVector
+    from ..scene import Scene
+
+    asked = levels(legibility)
+    random_seed("seed", seed)
+    check_figure(figure)
+    check_file(json, "JSON file")
+    check_file(csv, "CSV file")
+    if video is not None:
+        from ..evaluation.film import check_film
+
+        check_film(video)
+        check_file(video, "film")
+    place = Scene.load(scene)
+    target_index(target, place.num_goals)
+
+    from ..modulator import Modulator
+
+    modulator = Modulator.from_pretrained(model)
+    env = BlockReach2DVector(len(asked))
+    options = {"noise": noise, "push": push, "shift": shift}
+    # The same hidden gain, lag and disturbance in each, so that ℓ alone makes the difference.
+    env.reset(seed=[seed] * len(asked), options={"scene": place, "target": target, **options})
+    rollouts = modulator.execute(env, legibility=asked, seed=seed, replan=replan)
+    assert isinstance(rollouts, list)
+    rows = [
+        {
+            "legibility": rollout.legibility,
+            "achieved": rollout.achieved,
+            "achieved_by_plan": float(rollout.path.achieved),
+            "score": rollout.score,
+            "success": rollout.success,
+            "reason": rollout.reason,
+            "replans": rollout.replans,
+            "deviation": rollout.deviation.mean(),
+            "wall_contacts": rollout.wall_contacts,
+            "waypoints": rollout.path.waypoints,
+            "states": rollout.states,
+            "actions": rollout.actions,
+            "posterior": rollout.posterior,
+        }
+        for rollout in rollouts
+    ]
+    if figure is not None:
+        from ..evaluation.film import execution_figure
+
+        execution_figure(rollouts, figure)
+    if video is not None:
+        from ..evaluation.film import execution_film
+
+        execution_film(rollouts, video)
+    if csv is not None:
+        from .trajectories import write_trajectories
+
+        names = [f"{level:g}" for level in asked]
+        write_trajectories(csv, names, np.stack([r.trajectory() for r in rollouts]))
+    config = {"target": target, "legibility": asked, "replan": replan, **options}
+    result = {"scene": place.to_dict(), "target": target, "rollouts": rows}
+    write_report(json, seed=seed, config=config, model=model_record(model), result=result)
+
+    figures = table(
+        f"{scene}, goal {target}, {model}",
+        "asked ℓ", "planned ℓ", "executed ℓ", "steps", "deviation [mm]", "ended",
+    )  # fmt: skip
+    for row in rows:
+        figures.add_row(
+            number(row["legibility"]), number(row["achieved_by_plan"]), number(row["achieved"]),
+            str(len(row["actions"])), number(1e3 * row["deviation"], 1), row["reason"],
+        )  # fmt: skip
+    error = np.mean([abs(row["achieved"] - row["legibility"]) for row in rows])
+    show(figures, f"mean |executed − asked| {number(error)}")

@@ -1,0 +1,85 @@
+"""A path: start, waypoints, goal, and the curve through them as an observer reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from .checks import Array, count
+from .curves import arc_length, path_curve
+from .intent.field import InformationPotentialField
+from .intent.metrics import SCORE_POINTS, legibility_score
+from .motion.archive import Archive, build_archive
+from .scene import Scene
+
+__all__ = ["Path", "scene_archive"]
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """One path, or `B` of them, from the start of a scene to the goal that is meant.
+
+    Attributes:
+        scene: the scene.
+        target: index of the goal that is meant.
+        legibility: ℓ as asked, a number or `(B,)`.
+        waypoints: `(K + 2, D)` or `(B, K + 2, D)` [m]: start, K = 8 waypoints, goal; inside the
+            workspace.
+        clipped: bool or `(B,)`: whether the curve that the network drew left the workspace and was
+            brought back to its wall.
+        field: the observer.
+        alpha: decay of the score's weight.
+        label: how the scene's archive is labelled.
+    """
+
+    scene: Scene
+    target: int
+    legibility: Array
+    waypoints: Array
+    clipped: np.ndarray | np.bool
+    field: InformationPotentialField
+    alpha: float
+    label: str
+
+    def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
+        """The smooth curve through the waypoints, `(B?, num_points, D)` [m], in the workspace."""
+        curve = path_curve(self.waypoints, count("num_points", num_points, low=2))
+        curve[..., [0, -1], :] = self.waypoints[..., [0, -1], :]  # free of rounding
+        return np.clip(curve, *self.scene.workspace)
+
+    @cached_property
+    def score(self) -> Array:
+        """`legibility_score` of the trajectory, `(B?)`; higher = more legible."""
+        return legibility_score(self.trajectory(), self.field, self.target, self.alpha)
+
+    @property
+    def length(self) -> Array:
+        """Length [m] of the trajectory, `(B?)`."""
+        return arc_length(self.trajectory())
+
+    @property
+    def archive(self) -> Archive:
+        """The scene's archive, built on first use."""
+        return scene_archive(self.scene, self.target, self.field.sigma, self.alpha, self.label)
+
+    @cached_property
+    def achieved(self) -> Array:
+        """The label in [−1, 1] that the trajectory achieves in the scene's archive, `(B?)`."""
+        return self.archive.label_of(self.score)
+
+    def __getitem__(self, index: int) -> Path:
+        """The path of one level of several."""
+        return replace(
+            self,
+            legibility=self.legibility[index],
+            waypoints=self.waypoints[index],
+            clipped=self.clipped[index],
+        )
+
+
+@lru_cache(maxsize=32)
+def scene_archive(scene: Scene, target: int, sigma: float, alpha: float, label: str) -> Archive:
+    """The archive of a scene, built once; the last ones are kept."""
+    return build_archive(scene, target, sigma=sigma, alpha=alpha, label=label)

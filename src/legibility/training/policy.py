@@ -1,0 +1,202 @@
+"""How stage 2 is trained: its batches, its loss, and closed-loop rollouts on validation scenes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..checks import Array, count
+from ..curves import arc_length
+from ..dataset import Dataset
+from ..demonstrations import Demonstrations
+from ..envs.block_reach_2d import BlockReach2DVector
+from ..errors import InvalidInputError
+from ..execution import Fleet, Policy, follow
+from ..intent.field import InformationPotentialField
+from ..models.diffusion import noise_schedule, noised
+from ..models.path_policy import Observation, PathPolicy, PathPolicyConfig
+from ..motion.tracking import PathTracker
+from ..path import Path
+from .loop import Progress, TrainingConfig, choose_device, train
+
+__all__ = ["PolicyBatches", "PolicyTrainingConfig", "train_policy", "validate_policy"]
+
+
+@dataclass(frozen=True)
+class PolicyTrainingConfig(TrainingConfig):
+    """How stage 2 is trained.
+
+    Attributes:
+        batch: steps of demonstrations in a batch.
+    """
+
+    steps: int = 8000
+    batch: int = 1024
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count("batch", self.batch)
+
+
+class PolicyBatches:
+    """Every step of the demonstrations as tensors, and the loss of stage 2 over random batches."""
+
+    def __init__(
+        self,
+        data: Demonstrations,
+        model: PathPolicy,
+        config: PolicyTrainingConfig,
+        device: torch.device,
+    ) -> None:
+        self.config = config
+        self.device = device
+        seen = _observed(data, model.config)
+        self.observed, self.goal_only = (
+            [torch.from_numpy(x.astype(np.float32)).to(device) for x in parts] for parts in seen
+        )
+
+    def loss(
+        self, model: PathPolicy, generator: torch.Generator
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Squared error of the velocity."""
+        size, shape = self.config.batch, self.observed[1].shape[1:]
+        chosen = torch.randint(len(self.observed[0]), (size,), generator=generator)
+        timestep = torch.randint(model.config.diffusion_steps, (size,), generator=generator)
+        noise = torch.randn(size, *shape, generator=generator)
+        keep = torch.rand(size, generator=generator) >= self.config.dropout
+        chosen, timestep, noise, keep = (x.to(self.device) for x in (chosen, timestep, noise, keep))
+        features, actions = (
+            torch.where(
+                keep.view(-1, *[1] * (with_path.ndim - 1)), with_path[chosen], without[chosen]
+            )
+            for with_path, without in zip(self.observed, self.goal_only, strict=True)
+        )
+        noisy, velocity = noised(actions / model.scale, noise, model.signal[timestep, None, None])
+        predicted = model(noisy, timestep, model.encode(features, keep))
+        loss = F.mse_loss(predicted, velocity)
+        return loss, {"velocity": loss.detach()}
+
+    def scale(self) -> Tensor:
+        """Root mean square of the actions, in limits."""
+        return self.observed[1].square().mean().sqrt()
+
+
+def _observed(data: Demonstrations, config: PathPolicyConfig) -> list[tuple[Array, Array]]:
+    """Features `(M, F)` and chunks of actions `(M, chunk, D)` of each of all M steps.
+
+    Once as the policy sees them with the path, once without it.
+    """
+    lengths = np.array([len(a) for a in data.actions])
+    longest, dim = lengths.max(), config.dim
+    states = np.stack([_extended(s, longest + 1) for s in data.states])
+    actions = np.zeros((len(data), longest + config.chunk, dim))
+    for row, own in zip(actions, data.actions, strict=True):
+        row[: len(own)] = own
+    tracker = PathTracker(data.paths, data.limit, data.workspace)
+    goals = data.paths[:, -1]
+    found: list[list[list[Array]]] = [[[], []], [[], []]]
+    for t in range(longest):
+        now, before = states[:, t], states[:, max(t - 1, 0)]
+        if t:
+            tracker.update(now, before)
+        rows = np.flatnonzero(t < lengths)
+        chunk = actions[rows, t : t + config.chunk] / data.limit
+        part = tracker.of(rows)
+        for kind, along in zip(found, (part, None), strict=True):
+            seen = Observation.of(now[rows], before[rows], goals[rows], data.limit, along)
+            kind[0].append(seen.features)
+            kind[1].append(chunk @ seen.rotation.swapaxes(1, 2))
+    return [(np.concatenate(f), np.concatenate(a)) for f, a in found]
+
+
+def _extended(states: Array, size: int) -> Array:
+    """`states (T, D)` with the last one repeated to `(size, D)`."""
+    return np.concatenate([states, np.repeat(states[-1:], size - len(states), axis=0)])
+
+
+def train_policy(
+    data: Demonstrations,
+    validation: Dataset,
+    folder: str | FilePath,
+    config: PolicyTrainingConfig | None = None,
+    *,
+    device: str | None = None,
+    progress: Progress = lambda step, steps, figures: None,
+    **settings: Any,
+) -> PathPolicy:
+    """Train stage 2 on `data`, validated by rollouts along paths of `validation`.
+
+    Args:
+        data: demonstrations.
+        validation: a dataset of another seed stream.
+        folder: of the checkpoint and the log; an interrupted run goes on from there.
+        config: how to train.
+        device: where to; a GPU where there is one.
+        progress: see `train`.
+        **settings: of `PathPolicyConfig`, but those that the data fixes.
+
+    Returns:
+        The trained model, on the CPU.
+    """
+    config = config or PolicyTrainingConfig()
+    if validation.config.stream == "evaluation":
+        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
+    settings |= {"dim": data.paths.shape[-1], "limit": data.limit}
+    if validation.config.dim != settings["dim"]:
+        raise InvalidInputError(
+            f"the validation data are {validation.config.dim}-D, the data {settings['dim']}-D"
+        )
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        model = PathPolicy(PathPolicyConfig(**settings))
+    where = choose_device(device)
+    batches = PolicyBatches(data, model, config, where)
+    model = model.to(where)
+    model.signal.copy_(noise_schedule(model.config.diffusion_steps))
+    model.scale.copy_(batches.scale())
+    identity = {"model": model.config.to_dict(), "data": data.digest}
+    trained = train(
+        model,
+        batches.loss,
+        lambda m: validate_policy(m, validation),
+        config,
+        folder,
+        identity=identity,
+        progress=progress,
+    )
+    return trained.to("cpu")
+
+
+def validate_policy(model: PathPolicy, validation: Dataset, paths: int = 2) -> dict[str, float]:
+    """Rollouts along archive paths: success, and mean distance from the path over its length."""
+    where = next(model.parameters()).device
+    config = validation.config
+    chosen = np.linspace(0, config.per_scene - 1, paths * len(validation.scenes)).round()
+    chosen = np.random.default_rng(0).permutation(chosen.astype(np.intp))
+    scenes = [scene for scene in validation.scenes for _ in range(paths)]
+    plans = []
+    for number, (scene, index) in enumerate(zip(scenes, chosen, strict=True)):
+        inner = validation.waypoints[number // paths, index].astype(np.float64)
+        field = InformationPotentialField(scene.goals, config.sigma)
+        plans.append(Path(
+            scene, 0, validation.labels[number // paths, index],
+            np.concatenate([scene.start[None], inner, scene.goals[:1]]), np.False_,
+            field, config.alpha, config.label,
+        ))  # fmt: skip
+    env = BlockReach2DVector(len(scenes))
+    env.reset(seed=0, options={"scene": scenes})
+    rollouts = follow(Fleet(env, 0), plans, Policy(model.to("cpu"), seed=0))
+    model.to(where)
+    lengths = [arc_length(plan.trajectory()) for plan in plans]
+    off = [r.deviation.mean() / n for r, n in zip(rollouts, lengths, strict=True)]
+    return {
+        "validation_success": float(np.mean([r.success for r in rollouts])),
+        "validation_deviation": float(np.mean(off)),
+        "validation_steps": float(np.mean([len(r.actions) for r in rollouts])),
+    }
