@@ -37,14 +37,14 @@ def hashes(folder):
 
 @pytest.fixture
 def small_shards(monkeypatch):
-    monkeypatch.setattr(dataset, "_SHARD", 4)
+    monkeypatch.setattr(dataset, "SHARD", 4)
 
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
     """`TINY`, whole, in two shards."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dataset, "_SHARD", 4)
+        patch.setattr(dataset, "SHARD", 4)
         folder = tmp_path_factory.mktemp("data") / "tiny"
         generate(TINY, folder)
     return folder
@@ -83,7 +83,7 @@ class TestSameBytes:
 
     def test_for_any_number_of_threads(self, tiny, tmp_path):
         script = (
-            "import sys; from legibility import dataset; dataset._SHARD = 4\n"
+            "import sys; from legibility import dataset; dataset.SHARD = 4\n"
             "dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])"
         )
         for threads in ("1", "2"):
@@ -114,20 +114,20 @@ class TestSameBytes:
     def test_after_a_kill_in_the_middle_of_a_shard(self, tiny, tmp_path, small_shards):
         script = """
 import io, os, signal, sys
-from legibility import dataset
-dataset._SHARD = 4
-whole = dataset.pq.write_table
+from legibility import dataset, shards
+dataset.SHARD = 4
+whole = shards.pq.write_table
 def half(table, path, **options):
-    if "00001" not in str(shards[-1]):
+    if "00001" not in str(written[-1]):
         return whole(table, path, **options)
     buffer = io.BytesIO()
     whole(table, buffer, **options)
     path.write_bytes(buffer.getvalue()[: len(buffer.getvalue()) // 2])
     os.kill(os.getpid(), signal.SIGKILL)
-shards = []
-atomic = dataset.atomic_path
-dataset.atomic_path = lambda path: shards.append(path) or atomic(path)
-dataset.pq.write_table = half
+written = []
+atomic = shards.atomic_path
+shards.atomic_path = lambda path: written.append(path) or atomic(path)
+shards.pq.write_table = half
 dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
 """
         folder = tmp_path / "killed"

@@ -2,6 +2,7 @@
 
 import json
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -10,11 +11,16 @@ from hypothesis import strategies as st
 
 import legibility as lg
 from legibility.curves import path_curve
+from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import CheckpointError, InvalidInputError, InvalidSceneError, OutputError
+from legibility.execution import Feedback
 from legibility.intent.metrics import SCORE_POINTS
 from legibility.models.checkpoint import load_tensors, save_tensors
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig, noise_schedule
-from legibility.modulator import Modulator, Path, _archive, pretrained_names
+from legibility.models.diffusion import noise_schedule
+from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from legibility.models.path_policy import PathPolicy, PathPolicyConfig
+from legibility.modulator import Modulator, pretrained_names, save_stage
+from legibility.path import Path, scene_archive
 from legibility.scene import DEFAULT_SIGMA
 
 torch.set_num_threads(1)
@@ -199,6 +205,7 @@ class TestReproducible:
 
 class TestCandidates:
     def test_the_nearest_of_those_drawn_is_returned(self, modulator, scene):
+        modulator = make(modulator.config.dim, label="rank")  # none is drawn again
         num = 6
         single = modulator.plan(scene, 0, np.repeat(LEVELS, num), seed=4)
         best = modulator.plan(scene, 0, LEVELS, seed=4, num_candidates=num)
@@ -222,8 +229,8 @@ class TestCandidates:
             built.append((scene, target))
             return lg.build_archive(scene, target, **options, max_candidates=4096)
 
-        monkeypatch.setattr("legibility.modulator.build_archive", build)
-        _archive.cache_clear()
+        monkeypatch.setattr("legibility.path.build_archive", build)
+        scene_archive.cache_clear()
         model = make()
         model.plan(SCENES[2], 0, LEVELS)
         assert built == []
@@ -235,13 +242,13 @@ class TestCandidates:
         assert [target for _, target in built] == [0, 1]
 
     def test_only_the_last_archives_are_kept(self, monkeypatch):
-        monkeypatch.setattr("legibility.modulator.build_archive", lambda *_, **__: object())
-        _archive.cache_clear()
+        monkeypatch.setattr("legibility.path.build_archive", lambda *_, **__: object())
+        scene_archive.cache_clear()
         model = make()
         for seed in range(40):
             model.archive(lg.Scene.random(np.random.default_rng(seed)))
-        assert _archive.cache_info().currsize == 32
-        _archive.cache_clear()  # of what stands for archives here
+        assert scene_archive.cache_info().currsize == 32
+        scene_archive.cache_clear()  # of what stands for archives here
 
 
 class TestOptions:
@@ -436,7 +443,7 @@ class TestPretrained:
     def test_settings_that_no_model_has(self, folder, change):
         """Refused when it is loaded, not when it plans."""
         content = json.loads((folder / "config.json").read_text())
-        content["path"] |= change
+        content["path"]["config"] |= change
         (folder / "config.json").write_text(json.dumps(content))
         with pytest.raises(CheckpointError):
             Modulator.from_pretrained(folder)
@@ -467,3 +474,186 @@ def test_whatever_the_weights_paths_are_finite_and_inside(seed, scale, dim, leve
     np.testing.assert_array_equal(path.waypoints[[0, -1]], [scene.start, scene.goals[0]])
     assert np.isfinite(path.score)
     assert path_curve(path.waypoints, 10).shape == (10, dim)
+
+
+def both(dim=2, **changes):
+    """A tiny untrained modulator with both stages."""
+    torch.manual_seed(1)
+    policy = PathPolicy(
+        PathPolicyConfig(**{"dim": dim, "channels": (8, 16), "condition": 16} | changes)
+    )
+    policy.signal.copy_(noise_schedule(100))
+    return Modulator(make(dim).path_diffuser, policy, name="tiny")
+
+
+class TestPlanMany:
+    def test_is_one_path_in_each_scene(self, modulator):
+        dim = modulator.config.dim
+        scenes = [lg.Scene.random(np.random.default_rng(seed), dim=dim) for seed in range(5)]
+        targets, levels = [0, 1, 0, 1, 1], np.linspace(-1, 1, 5)
+        paths = modulator.plan_many(scenes, targets, levels, seed=3)
+        again = modulator.plan_many(scenes, targets, levels, seed=3)
+        for path, same, scene, target, level in zip(
+            paths, again, scenes, targets, levels, strict=True
+        ):
+            assert path.scene is scene
+            assert path.target == target
+            assert path.legibility == level
+            ends = [scene.start, scene.goals[target]]
+            np.testing.assert_array_equal(path.waypoints[[0, -1]], ends)
+            assert scene.contains(path.trajectory(), tolerance=0).all()
+            np.testing.assert_array_equal(path.waypoints, same.waypoints)
+
+    def test_of_one_scene_is_its_plan(self, modulator, scene):
+        (many,) = modulator.plan_many([scene], [0], 0.3, seed=2)
+        np.testing.assert_allclose(
+            many.waypoints, modulator.plan(scene, 0, 0.3, seed=2).waypoints, atol=1e-5
+        )
+
+    @pytest.mark.parametrize(
+        ("wrong", "match"),
+        [
+            ({"scenes": []}, "targets must be as many"),
+            ({"targets": [0]}, "targets must be as many"),
+            ({"targets": [0, 9]}, "target must be a goal"),
+            ({"legibility": [0, 0, 0]}, "one number or 2"),
+            ({"legibility": 2}, "must lie in"),
+            ({"scenes": [SCENES[2], SCENES[3]]}, "plans in 2D"),
+        ],
+        ids=str,
+    )
+    def test_refuses(self, flat, wrong, match):
+        with pytest.raises(InvalidInputError, match=match):
+            flat.plan_many(
+                **{"scenes": [SCENES[2]] * 2, "targets": [0, 0], "legibility": 0.0, **wrong}
+            )
+
+
+class TestExecute:
+    def vector(self, size=3, **options):
+        env = BlockReach2DVector(size)
+        env.reset(seed=0, options={"scene": SCENES[2], **options})
+        return env
+
+    def test_one_and_many(self):
+        model = both()
+        env = gymnasium.make("legibility/BlockReach2D-v0")
+        env.reset(seed=0, options={"scene": SCENES[2], "target": 1})
+        rollout = model.execute(env, legibility=0.4, seed=1)
+        assert isinstance(rollout, lg.Rollout)
+        assert rollout.path.target == 1
+        assert rollout.legibility == 0.4
+        rollouts = model.execute(self.vector(), legibility=[-1, 0, 1], seed=1)
+        assert [r.legibility for r in rollouts] == [-1, 0, 1]
+        again = model.execute(self.vector(), legibility=[-1, 0, 1], seed=1)
+        for one, other in zip(rollouts, again, strict=True):
+            np.testing.assert_array_equal(one.states, other.states)
+
+    def test_targets(self):
+        model = both()
+        rollouts = model.execute(self.vector(), target=[0, 1, 1], driver=Feedback())
+        assert [r.path.target for r in rollouts] == [0, 1, 1]
+        assert all(r.success for r in rollouts)
+        rollouts = model.execute(self.vector(), target=1, driver=Feedback())
+        assert [r.path.target for r in rollouts] == [1, 1, 1]
+
+    def test_a_path_of_ones_own(self):
+        model = both()
+        path = model.plan(SCENES[2], 0, [0.1, 0.2, 0.3])
+        rollouts = model.execute(
+            self.vector(), path=[path[i] for i in range(3)], driver=Feedback(), replan=False
+        )
+        for i, rollout in enumerate(rollouts):
+            np.testing.assert_array_equal(rollout.path.waypoints, path.waypoints[i])
+
+    def test_plans_again_with_the_same_level(self, monkeypatch):
+        model, asked = both(), []
+        many = model.plan_many
+
+        def plan_many(scenes, targets, levels, **options):
+            asked.append(levels)
+            return many(scenes, targets, levels, **options)
+
+        monkeypatch.setattr(model, "plan_many", plan_many)
+        rollouts = model.execute(
+            self.vector(push=0.2), legibility=[0.1, 0.2, 0.3], driver=Feedback()
+        )
+        assert sum(len(r.replans) for r in rollouts) >= 1
+        assert {float(x) for levels in asked[1:] for x in levels} <= {0.1, 0.2, 0.3}
+
+    @pytest.mark.parametrize(
+        ("wrong", "match"),
+        [
+            ({"legibility": [0, 1]}, "one number or 3"),
+            ({"legibility": 1.5}, "must lie in"),
+            ({"target": [0, 1]}, "one for all or 3"),
+            ({"target": 7}, "target must be a goal"),
+            ({"tolerance": 0}, "tolerance"),
+            ({"seed": -1}, "seed"),
+            ({"path": []}, "one for each of 3"),
+        ],
+        ids=str,
+    )
+    def test_refuses(self, wrong, match):
+        with pytest.raises(InvalidInputError, match=match):
+            both().execute(self.vector(), **wrong)
+
+    def test_what_does_not_fit(self):
+        with pytest.raises(CheckpointError, match="no stage 2"):
+            make().execute(self.vector())
+        with pytest.raises(InvalidInputError, match="moves in 3D"):
+            both(3).execute(self.vector())
+        with pytest.raises(InvalidInputError, match=r"limit is 0\.05 m"):
+            both(limit=0.02).execute(self.vector())
+        with pytest.raises(InvalidInputError, match="one dimension"):
+            Modulator(make(3).path_diffuser, both(2).path_policy)
+        path = make().plan(lg.Scene([0.3, 0.3], SCENES[2].goals), 0, [0.0] * 3)
+        with pytest.raises(InvalidInputError, match="must start at the robot"):
+            both().execute(self.vector(), path=[path[i] for i in range(3)])
+
+
+class TestBothStages:
+    @pytest.fixture
+    def folder(self, tmp_path):
+        model = both()
+        model.training = {"path": {"steps": 1}, "policy": {"steps": 2}}
+        model.save_pretrained(tmp_path / "both")
+        return tmp_path / "both"
+
+    def test_round_trip(self, folder):
+        again = Modulator.from_pretrained(folder)
+        assert again.training == {"path": {"steps": 1}, "policy": {"steps": 2}}
+        assert again.path_policy is not None
+        for a, b in zip(
+            again.path_policy.state_dict().values(), both().path_policy.state_dict().values(),
+            strict=True,
+        ):  # fmt: skip
+            assert torch.equal(a, b)
+
+    def test_a_stage_is_replaced_alone(self, folder):
+        before = (folder / "path.safetensors").read_bytes()
+        other = both(condition=24).path_policy
+        save_stage(folder, "policy", other, {"steps": 3})
+        again = Modulator.from_pretrained(folder)
+        assert again.path_policy.config.condition == 24
+        assert again.training == {"path": {"steps": 1}, "policy": {"steps": 3}}
+        assert (folder / "path.safetensors").read_bytes() == before
+
+    def test_stage_1_alone_is_enough_and_stage_2_is_not(self, folder):
+        content = json.loads((folder / "config.json").read_text())
+        policy = {k: v for k, v in content.items() if k != "path"}
+        (folder / "config.json").write_text(json.dumps(policy))
+        with pytest.raises(CheckpointError, match="no stage 1"):
+            Modulator.from_pretrained(folder)
+        del content["policy"]
+        (folder / "config.json").write_text(json.dumps(content))
+        assert Modulator.from_pretrained(folder).path_policy is None
+
+    def test_a_broken_policy(self, folder):
+        content = (folder / "policy.safetensors").read_bytes()
+        (folder / "policy.safetensors").write_bytes(content[:-7])
+        with pytest.raises(CheckpointError):
+            Modulator.from_pretrained(folder)
+        (folder / "policy.safetensors").unlink()
+        with pytest.raises(CheckpointError, match=r"policy\.safetensors"):
+            Modulator.from_pretrained(folder)

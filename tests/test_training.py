@@ -17,14 +17,15 @@ from legibility.curves import path_curve
 from legibility.dataset import LABEL_KNOTS, Dataset, DatasetConfig, generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.models.checkpoint import load_tensors, save_tensors
+from legibility.models.diffusion import noise_schedule
 from legibility.models.frame import Frame
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig, noise_schedule
+from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
 from legibility.training import (
     CHECKPOINT,
     LOG,
     FrameScorer,
     PathBatches,
-    TrainingConfig,
+    PathTrainingConfig,
     train_path,
     validate_dial,
 )
@@ -33,7 +34,7 @@ torch.set_num_threads(1)
 
 SOURCE = str(Path(lg.__file__).parents[1])
 TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
-SHORT = TrainingConfig(
+SHORT = PathTrainingConfig(
     steps=12, scenes=3, per_scene=4, warmup=3, validate_every=5, checkpoint_every=4
 )
 CPU = torch.device("cpu")
@@ -138,12 +139,12 @@ class TestResume:
 import os, signal, sys, torch
 torch.set_num_threads(1)
 from legibility.dataset import Dataset
-from legibility.training import TrainingConfig, train_path
+from legibility.training import PathTrainingConfig, train_path
 def kill(step, steps, figures):
     if step == {step}:
         os.kill(os.getpid(), signal.SIGKILL)
 data, validation = (Dataset.load(sys.argv[1] + "/" + n) for n in ("train", "validation"))
-train_path(data, validation, sys.argv[2], TrainingConfig(**{dataclasses.asdict(SHORT)}),
+train_path(data, validation, sys.argv[2], PathTrainingConfig(**{dataclasses.asdict(SHORT)}),
            progress=kill, **{TINY})
 """
         run = subprocess.run(
@@ -296,7 +297,7 @@ class TestConfig:
     )
     def test_bad_values(self, wrong):
         with pytest.raises(InvalidInputError, match=next(iter(wrong))):
-            TrainingConfig(**wrong)
+            PathTrainingConfig(**wrong)
 
 
 def tiny_model(data, seed=0, **settings):
@@ -361,10 +362,11 @@ class TestLoss:
 
     def test_score_weight_zero_is_the_velocity_alone(self, data):
         model = tiny_model(data)
-        loss, figures = PathBatches(
-            data, model, dataclasses.replace(SHORT, score_weight=0), CPU
-        ).loss(model, torch.Generator().manual_seed(0))
-        assert figures.keys() == {"velocity"}
+        alone = dataclasses.replace(SHORT, score_weight=0, wall_weight=0)
+        loss, figures = PathBatches(data, model, alone, CPU).loss(
+            model, torch.Generator().manual_seed(0)
+        )
+        assert figures.keys() == {"velocity", "label", "wall"}
         assert loss == figures["velocity"]
 
     def test_batch_in_which_all_conditions_are_dropped(self, data):
@@ -375,6 +377,20 @@ class TestLoss:
             loss.backward()
             assert torch.isfinite(loss)
             assert all(torch.isfinite(p.grad).all() for p in model.parameters())
+
+    def test_wall_is_what_is_outside(self, data):
+        model = tiny_model(data)
+        batches = PathBatches(data, model, SHORT, CPU)
+        _, parts = batches.loss(model, torch.Generator().manual_seed(0))
+        model.spread *= 4  # the same noise reaches four times as far
+        _, wider = batches.loss(model, torch.Generator().manual_seed(0))
+        assert 0 <= parts["wall"] < wider["wall"]
+        config = dataclasses.replace(SHORT, wall_weight=0.0)
+        free, parts = PathBatches(data, model, config, CPU).loss(
+            model, torch.Generator().manual_seed(0)
+        )
+        total = parts["velocity"] + config.score_weight * parts["label"]
+        torch.testing.assert_close(free.detach(), total)
 
 
 class TestFrameScorer:
@@ -400,14 +416,14 @@ class TestFrameScorer:
 
     def test_score_is_the_legibility_score(self, scored):
         data, scorer, conditions, _, waypoints = scored
-        found = scorer.score(conditions, waypoints).numpy()
+        found = scorer.score(conditions, scorer.curve(waypoints)).numpy()
         exact = data.scores.ravel()
         np.testing.assert_allclose(found, exact, rtol=0.02, atol=0.01)
         assert np.abs(found - exact).mean() < 0.005 * np.abs(exact).mean()
 
     def test_label_is_the_archives(self, scored):
         data, scorer, conditions, each, waypoints = scored
-        found = scorer.label(conditions, each, waypoints).numpy()
+        found = scorer.label(conditions, each, scorer.curve(waypoints)).numpy()
         assert np.abs(found - data.labels.ravel()).mean() < 0.02
         assert np.abs(found - data.labels.ravel()).max() < 0.25
 
@@ -416,7 +432,7 @@ class TestFrameScorer:
         for index in range(0, len(LABEL_KNOTS), 8):
             wanted = -torch.exp(-scorer.knots[each, index])
             monkeypatch.setattr(scorer, "score", lambda *_, wanted=wanted: wanted)
-            found = scorer.label(conditions, each, waypoints)
+            found = scorer.label(conditions, each, scorer.curve(waypoints))
             np.testing.assert_allclose(found, LABEL_KNOTS[index], atol=2e-3)
 
     def test_label_goes_on_beyond_the_ends(self, scored, monkeypatch):
@@ -424,30 +440,30 @@ class TestFrameScorer:
         for end, sign in ((0, -1), (-1, 1)):
             beyond = -torch.exp(-scorer.knots[each, end] - sign * 0.1)
             monkeypatch.setattr(scorer, "score", lambda *_, beyond=beyond: beyond)
-            found = scorer.label(conditions, each, waypoints)
+            found = scorer.label(conditions, each, scorer.curve(waypoints))
             assert (sign * found > 1).all()
 
     def test_gradient_is_finite_and_that_of_the_score(self, scored):
         _, scorer, conditions, each, waypoints = scored
         waypoints = waypoints.clone().requires_grad_()
         for value in (
-            scorer.score(conditions, waypoints),
-            scorer.label(conditions, each, waypoints),
+            scorer.score(conditions, scorer.curve(waypoints)),
+            scorer.label(conditions, each, scorer.curve(waypoints)),
         ):
             (gradient,) = torch.autograd.grad(value.sum(), waypoints)
             assert torch.isfinite(gradient).all()
             assert (gradient.abs().sum((1, 2)) > 0).all()
         step = 1e-2 * torch.nn.functional.normalize(gradient.flatten(1)).view_as(gradient)
         with torch.no_grad():
-            up = scorer.label(conditions, each, waypoints + step)
-            down = scorer.label(conditions, each, waypoints - step)
+            up = scorer.label(conditions, each, scorer.curve(waypoints + step))
+            down = scorer.label(conditions, each, scorer.curve(waypoints - step))
         assert ((up - down) > 0).float().mean() > 0.95
 
     @pytest.mark.parametrize("place", [0.0, 1.0, 1e3])
     def test_gradient_is_finite_where_waypoints_coincide(self, scored, place):
         _, scorer, conditions, each, waypoints = scored
         waypoints = torch.full_like(waypoints, place).requires_grad_()
-        value = scorer.label(conditions, each, waypoints)
+        value = scorer.label(conditions, each, scorer.curve(waypoints))
         (gradient,) = torch.autograd.grad(value.sum(), waypoints)
         assert torch.isfinite(value).all()
         assert torch.isfinite(gradient).all()
@@ -465,7 +481,7 @@ class TestFrameScorer:
         waypoints = torch.from_numpy(frame.world_to_frame(paths[:, 1:-1]).astype(np.float32))
         chosen = torch.full((20,), data.config.per_scene)  # any row of scene 1
         assert (each[chosen] == 1).all()
-        found = scorer.score(conditions.map(lambda x: x[chosen]), waypoints)
+        found = scorer.score(conditions.map(lambda x: x[chosen]), scorer.curve(waypoints))
         np.testing.assert_allclose(found, exact, rtol=0.02, atol=0.01)
 
 
@@ -514,7 +530,7 @@ def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):
         dataclasses.replace(config, scenes=8, per_scene=9, stream="validation"),
         tmp_path / "validation",
     )
-    how = TrainingConfig(
+    how = PathTrainingConfig(
         steps=250, scenes=16, per_scene=8, warmup=30, learning_rate=3e-3, ema=0.98,
         score_weight=1.0, validate_every=250, checkpoint_every=250,
     )  # fmt: skip
@@ -546,9 +562,8 @@ class TestSidesThatAreThin:
         waypoints = torch.from_numpy(
             frame.world_to_frame(data.waypoints[thin]).astype(np.float32)
         ).requires_grad_()
-        label = FrameScorer(data, tiny_model(data).conditions(data.scenes, [0] * 12)).label(
-            conditions, each, waypoints
-        )
+        scorer = FrameScorer(data, tiny_model(data).conditions(data.scenes, [0] * 12))
+        label = scorer.label(conditions, each, scorer.curve(waypoints))
         assert np.abs(label.detach().numpy() - data.labels[thin]).max() < 0.1
         (gradient,) = torch.autograd.grad(label.sum(), waypoints)
         assert torch.isfinite(gradient).all()

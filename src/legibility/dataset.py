@@ -263,7 +263,10 @@ class Dataset:
         """
         content, digest, table = read_shards(Path(folder), _MANIFEST, "legibility data")
         try:
-            return cls.of_table(DatasetConfig.from_dict(content), digest, table)
+            config = DatasetConfig.from_dict(content)
+            if table.num_rows != config.scenes:
+                raise ValueError(f"{table.num_rows} rows for {config.scenes} scenes")
+            return cls.of_table(config, digest, table)
         except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
             raise DatasetError(f"{folder} has a manifest that is not its own") from cause
 

@@ -106,7 +106,8 @@ def test_interrupt_from_the_keyboard(here):
     line = [sys.executable, "-m", "legibility", *words.split()]
     process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 30
-    while not list(Path().glob("d/*.parquet")) and time.monotonic() < deadline:
+    # Until both workers are at work: one that is still starting would tell of the interrupt itself.
+    while len(list(Path().glob("d/*.parquet"))) < 8 and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers as well
     _, errors = process.communicate(timeout=30)

@@ -25,7 +25,7 @@ def planned(here, weights, cli, capsys):
 def test_report(planned, weights):
     content, text = planned
     digest = hashlib.sha256(Path(weights, "path.safetensors").read_bytes()).hexdigest()
-    assert content["model"] == {"name": weights, "sha256": digest}
+    assert content["model"] == {"name": weights, "path": digest}
     assert content["seed"] == 4
     assert content["config"] == {
         "target": 0, "legibility": [-1, 0, 1, -0.5], "num_candidates": 3, "guidance": 0.5,

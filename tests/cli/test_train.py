@@ -1,5 +1,6 @@
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import legibility as lg
@@ -16,7 +17,7 @@ def test_report_and_weights(run, dataset):
     assert content["config"]["path"]["sigma"] == 0.15
     assert content["model"] == {
         "name": str(weights),
-        "sha256": hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest(),
+        "path": hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest(),
     }
     assert content["result"]["data"] == Dataset.load(dataset).digest
     assert content["result"]["last"]["step"] == 20
@@ -61,3 +62,31 @@ def test_validation_data_are_not_validated_on_themselves(cli, refused, capsys):
 def test_line_of_a_validation():
     assert _line(50, {"loss": 1.0}) == ""
     assert _line(50, {"loss": 1.0, "validation_error": 0.5}) == "step 50  loss 1.0000  error 0.5000"
+
+
+def test_policy_beside_the_path(run, dataset, cli, tmp_path, capsys):
+    shown = tmp_path / "shown"
+    words = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --demonstrations 2 --out"
+    assert cli(words, shown) == 0
+    assert "8, " in capsys.readouterr().out
+    weights = shutil.copytree(run / "weights", tmp_path / "weights")
+    words = (
+        "train policy --steps 6 --batch 16 --warmup 1 --validate-every 6 --checkpoint-every 6"
+        " --channels 8 16 --condition 16"
+    )
+    report = tmp_path / "policy.json"
+    paths = ["--data", shown, "--validation", dataset, "--out", tmp_path / "policy"]
+    assert cli(words, *paths, "--weights", weights, "--json", report) == 0
+    content = json.loads(report.read_text())
+    assert set(content["model"]) == {"name", "path", "policy"}
+    assert content["config"]["policy"]["channels"] == [8, 16]
+    assert "validation_success" in content["result"]["last"]
+    model = lg.Modulator.from_pretrained(weights)
+    assert model.path_policy is not None
+    assert model.training["policy"]["demonstrations"]["number"] == 8
+
+
+def test_policy_needs_demonstrations(dataset, tmp_path, refused):
+    assert "demonstrations.json" in refused(
+        "train policy --steps 2", "--data", dataset, "--out", tmp_path / "out"
+    )
