@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from legibility.cli import main
-from legibility.evaluation.card import dial_section, render_card
+from legibility.evaluation.card import dial_section, execution_section, render_card
 from legibility.modulator import Modulator, pretrained_folder, pretrained_names
 
 ROOT = Path(__file__).parent.parent
@@ -47,7 +47,7 @@ def test_the_readme_shows_commands():
 def test_commands(command, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(shlex.split(command)[1:]) == 0, capsys.readouterr().err
-    for written in re.findall(r"\S+\.(?:png|json)\b", command):
+    for written in re.findall(r"\S+\.(?:png|gif|json)\b", command):
         assert (folder / written).stat().st_size > 100
 
 
@@ -67,17 +67,30 @@ def test_pictures_are_there():
 
 @pytest.mark.parametrize("name", pretrained_names())
 def test_tables_and_card_are_what_was_measured_with_these_weights(name):
-    document = json.loads((ROOT / "results" / f"dial-{name}.json").read_text())
     weights = pretrained_folder(name)
-    digest = hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest()
-    assert document["model"]["sha256"] == digest
-    assert dial_section(document) in README
+    hashes = {
+        file.stem: hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in weights.glob("*.safetensors")
+    }
+    sections = {
+        "dial": dial_section, "closed-loop": dial_section, "execution": execution_section,
+    }  # fmt: skip
+    documents = {}
+    for kind, section in sections.items():
+        document = json.loads((ROOT / "results" / f"{kind}-{name}.json").read_text())
+        assert document["model"] == {"name": name, **hashes}
+        assert section(document) in README
+        assert (ROOT / "results" / f"{kind}-{name}.md").read_text() == section(document) + "\n"
+        documents[kind] = document
     config = json.loads((weights / "config.json").read_text())
-    assert (weights / "README.md").read_text() == render_card(name, config, document)
+    assert (weights / "README.md").read_text() == render_card(name, config, documents)
 
 
 @pytest.mark.parametrize("name", pretrained_names())
 def test_shipped_weights(name):
     folder = pretrained_folder(name)
-    assert (folder / "path.safetensors").stat().st_size < 6_000_000
-    assert Modulator.from_pretrained(name).name == name
+    for file in folder.glob("*.safetensors"):
+        assert file.stat().st_size < 6_000_000
+    model = Modulator.from_pretrained(name)
+    assert model.name == name
+    assert model.path_policy is not None

@@ -13,6 +13,7 @@ from .output import (
     check_file,
     model_record,
     number,
+    progress_bar,
     show,
     table,
     write_report,
@@ -49,10 +50,12 @@ def execute(
         figure: motions side by side and the belief under each, .png, .pdf or .svg.
         video: the same as a film, .gif or, with ffmpeg, .mp4.
         json: everything as JSON.
-        csv: the executed trajectories as CSV, the format that `legibility score` reads.
+        csv: the executed trajectories, at equal arc length, as CSV that `legibility score` reads.
     """
     from ..checks import random_seed, target_index
     from ..envs.block_reach_2d import BlockReach2DVector
+    from ..evaluation.statistics import clear_step
+    from ..execution import Rollout
     from ..scene import Scene
 
     asked = levels(legibility)
@@ -60,11 +63,13 @@ def execute(
     check_figure(figure)
     check_file(json, "JSON file")
     check_file(csv, "CSV file")
-    if video is not None:
-        from ..evaluation.film import check_film
+    if figure is not None or video is not None:
+        from ..evaluation.film import check_film, check_number
 
-        check_film(video)
-        check_file(video, "film")
+        check_number(len(asked))
+        if video is not None:
+            check_film(video)
+            check_file(video, "film")
     place = Scene.load(scene)
     target_index(target, place.num_goals)
 
@@ -77,6 +82,12 @@ def execute(
     env.reset(seed=[seed] * len(asked), options={"scene": place, "target": target, **options})
     rollouts = modulator.execute(env, legibility=asked, seed=seed, replan=replan)
     assert isinstance(rollouts, list)
+    seconds = 1 / env.metadata["render_fps"]
+
+    def clear_after(rollout: Rollout) -> float | None:
+        step = clear_step(rollout.posterior, rollout.path.target)
+        return None if step is None else round(seconds * step, 9)
+
     rows = [
         {
             "legibility": rollout.legibility,
@@ -88,6 +99,7 @@ def execute(
             "replans": rollout.replans,
             "deviation": rollout.deviation.mean(),
             "wall_contacts": rollout.wall_contacts,
+            "clear_after": clear_after(rollout),
             "waypoints": rollout.path.waypoints,
             "states": rollout.states,
             "actions": rollout.actions,
@@ -102,23 +114,33 @@ def execute(
     if video is not None:
         from ..evaluation.film import execution_film
 
-        execution_film(rollouts, video)
+        with progress_bar("frames") as progress:
+            execution_film(rollouts, video, progress=progress)
     if csv is not None:
         from .trajectories import write_trajectories
 
         names = [f"{level:g}" for level in asked]
         write_trajectories(csv, names, np.stack([r.trajectory() for r in rollouts]))
     config = {"target": target, "legibility": asked, "replan": replan, **options}
-    result = {"scene": place.to_dict(), "target": target, "rollouts": rows}
+    first = rollouts[0].path
+    result = {
+        "scene": place.to_dict(),
+        "target": target,
+        "sigma": first.field.sigma,
+        "alpha": first.alpha,
+        "label": first.label,
+        "rollouts": rows,
+    }
     write_report(json, seed=seed, config=config, model=model_record(model), result=result)
 
     figures = table(
         f"{scene}, goal {target}, {model}",
-        "asked ℓ", "planned ℓ", "executed ℓ", "steps", "deviation [mm]", "ended",
+        "asked ℓ", "planned ℓ", "executed ℓ", "clear after [s]", "steps", "deviation [mm]", "ended",
     )  # fmt: skip
     for row in rows:
         figures.add_row(
             number(row["legibility"]), number(row["achieved_by_plan"]), number(row["achieved"]),
+            "never" if row["clear_after"] is None else number(row["clear_after"], 2),
             str(len(row["actions"])), number(1e3 * row["deviation"], 1), row["reason"],
         )  # fmt: skip
     error = np.mean([abs(row["achieved"] - row["legibility"]) for row in rows])

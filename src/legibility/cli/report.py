@@ -43,29 +43,31 @@ def report(
         raise InvalidInputError(
             f"there is no {' or '.join(f'{k}-*.json' for k in _KINDS)} in {results}"
         )
+
+    # All is rendered before anything is written.
+    page = None if readme is None else read_text(readme, "Markdown file")
+    sections: list[tuple[Path, dict[str, Any], str]] = []
+    cards: dict[Path, str] = {}
     for name, documents in found.items():
         for kind, document in documents.items():
             file = results / f"{kind}-{name}.json"
-            try:
-                text = _KINDS[kind](document)
-            except (LookupError, TypeError, ValueError) as cause:
-                raise InvalidInputError(f"{file} is not what `evaluate` writes") from cause
-            if readme is not None:
-                page = read_text(readme, "Markdown file")
-                write_bytes(readme, replace_table(page, file.stem, text).encode())
-            if kind != "execution":
-                dial_figure(document["result"], file.with_suffix(".png"))
-            write_bytes(file.with_suffix(".md"), f"{text}\n".encode())
-            show(f"{file}: {document['command']}", text)
+            section = _section(kind, file, document)
+            sections.append((file, document, section))
+            if page is not None:
+                page = replace_table(page, file.stem, section)
         if weights is not None and (weights / name).is_dir():
-            config = _read(weights / name / "config.json")
-            try:
-                card = render_card(name, config, documents)
-            except InvalidInputError:
-                raise
-            except (LookupError, TypeError, ValueError) as cause:
-                raise InvalidInputError(f"cannot make the card of {name}: {cause!r}") from cause
-            write_bytes(weights / name / "README.md", card.encode())
+            cards[weights / name / "README.md"] = _card(name, weights / name, documents)
+
+    for file, document, section in sections:
+        if "levels" in document["result"]:
+            dial_figure(document["result"], file.with_suffix(".png"))
+        write_bytes(file.with_suffix(".md"), f"{section}\n".encode())
+    for file, card in cards.items():
+        write_bytes(file, card.encode())
+    if readme is not None and page is not None:
+        write_bytes(readme, page.encode())
+    for file, document, section in sections:
+        show(f"{file}: {document['command']}", section)
 
 
 _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
@@ -73,6 +75,27 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "closed-loop": dial_section,
     "execution": execution_section,
 }
+
+
+def _section(kind: str, file: Path, document: dict[str, Any]) -> str:
+    try:
+        if document["config"].get("closed_loop", False) != (kind == "closed-loop"):
+            raise InvalidInputError(f"{file} is not of the kind that its name says, {kind}")
+        return _KINDS[kind](document)
+    except InvalidInputError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError) as cause:
+        raise InvalidInputError(f"{file} is not what `evaluate` writes: {cause!r}") from cause
+
+
+def _card(name: str, folder: Path, documents: dict[str, dict[str, Any]]) -> str:
+    config = _read(folder / "config.json")
+    try:
+        return render_card(name, config, documents)
+    except InvalidInputError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError) as cause:
+        raise InvalidInputError(f"cannot make the card of {name}: {cause!r}") from cause
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 from ..curves import NUM_WAYPOINTS
@@ -34,16 +35,19 @@ def dial_section(document: dict[str, Any]) -> str:
     config, result = document["config"], document["result"]
     if config["closed_loop"]:
         how = """\
-Every path is executed by stage 2 in BlockReach2D, with a hidden gain and lag of its own, and what
-is scored is the executed motion."""
+Every path is executed by stage 2 in BlockReach2D, with a gain and a lag of its own that the robot
+does not know, and what is scored is the executed motion. One that arrives ends within 2 cm of the
+target, so it may be a little shorter than its path."""
     else:
         how = f"""\
 One path is drawn for a sample; only the row "with candidates" takes the nearest of
 {config["candidates"]}. One plan took {result["plan_ms"]:.1f} ms on one core."""
+    on = _filled(f"""\
+On {len(result["scenes"])} random scenes with {_goals(config)} that training never drew
+(seed {document["seed"]}), {len(result["levels"])} levels of ℓ, {config["samples"]} paths each.
+{how}""")
     return f"""\
-On {len(result["scenes"])} random scenes with {config["goals"][0]} to {config["goals"][1]} goals
-that training never drew (seed {document["seed"]}), {len(result["levels"])} levels of ℓ,
-{config["samples"]} paths each. {how}
+{on}
 
 {dial_table(document)}
 
@@ -55,32 +59,65 @@ def execution_section(document: dict[str, Any]) -> str:
     config, result = document["config"], document["result"]
     table = [
         "| what moves the robot | success (95 % interval) | Spearman | error of ℓ "
-        "| distance from the curve | stopped early |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| distance from the curve | planned anew | stopped early |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, row in result["rows"].items():
         low, high = row["success"]["interval"]
-        ends = [f"{n} {reason}" for reason, n in row["reasons"].items() if reason != "reached"]
+        dial = [f"{row[key]['mean']:.4f}" if key in row else "–" for key in ("spearman", "error")]
+        ends = [
+            f"{number:,} {reason}"
+            for reason, number in sorted(row["reasons"].items())
+            if reason != "reached"
+        ]
         table.append(
-            f"| {ROWS[name]} | {row['success']['mean']:.2%} ({low:.2%} to {high:.2%}) "
-            f"| {row['spearman']['mean']:.4f} | {row['error']['mean']:.4f} "
-            f"| {row['deviation']['mean']:.2%} | {', '.join(ends)} |"
+            f"| {ROWS[name].text} | {row['success']['mean']:.2%} ({low:.2%} to {high:.2%}) "
+            f"| {' | '.join(dial)} | {row['deviation']['mean']:.2%} | {row['replanned']:.2%} "
+            f"| {', '.join(ends)} |"
         )
     kinds = ("states_outside", "actions_not_finite", "actions_over_limit", "wall_contacts")
     found = [sum(row[kind] for row in result["rows"].values()) for kind in kinds]
+    on = _filled(f"""\
+{config["rollouts"]:,} rollouts a row on {config["scenes"]} random scenes with {_goals(config)} that
+training never drew (seed {document["seed"]}), ℓ uniform in [−1, 1], each robot with a gain and a
+lag that it does not know. All rows share scenes, levels, plans, gains and lags. A push displaces
+the robot, a move the target, by {100 * config["disturbance"]:g} cm in a random direction
+half-way.""")
+    means = _filled(f"""\
+Spearman's correlation and the mean error compare the asked ℓ with that of the executed motion,
+whether it arrived or not; where the target moved there is none, as ℓ belongs to a scene. The
+distance is that from the curve that was followed at the time, over the length of the first. In all
+rows together {found[0]} states were outside the workspace, {found[1]} actions not finite,
+{found[2]} over the limit, and {found[3]} steps were stopped by a wall.""")
+    speed = _filled(f"""\
+One control step of one robot took {result["step_ms"]:.2f} ms on one core, the policy included and
+amortised over its chunk. With {result["at_once"]} robots at once
+{result["rollouts_per_second"]:.0f} rollouts a second were planned and executed on
+{_threads(result)}.""")
     return f"""\
-{config["rollouts"]:,} rollouts a row on {config["scenes"]} random scenes with {config["goals"][0]}
-to {config["goals"][1]} goals that training never drew (seed {document["seed"]}), ℓ uniform in
-[−1, 1], hidden gain and lag; the rows share scenes, levels and gains. The distance from the planned
-curve is a share of its length. In all rows together {found[0]} states were outside the workspace,
-{found[1]} actions not finite, {found[2]} over the limit, and {found[3]} steps were stopped by a
-wall. One control step took {result["step_ms"]:.2f} ms on one core, the policy included and
-amortised over its chunk; with 256 robots at once {result["rollouts_per_second"]:.0f} rollouts a
-second were planned and executed.
+{on}
 
 {chr(10).join(table)}
 
+{means}
+
+{speed}
+
 Measured by `{document["command"]}`."""
+
+
+def _goals(config: dict[str, Any]) -> str:
+    low, high = config["goals"]
+    return f"{low} goals" if low == high else f"{low} to {high} goals"
+
+
+def _threads(facts: dict[str, Any]) -> str:
+    return f"{facts['threads']} thread{'s' * (facts['threads'] > 1)}"
+
+
+def _filled(paragraph: str) -> str:
+    """The paragraph in lines of at most 100 characters, as far as its words allow."""
+    return textwrap.fill(paragraph, 100, break_long_words=False, break_on_hyphens=False)
 
 
 def replace_table(text: str, name: str, table: str) -> str:
@@ -124,7 +161,7 @@ def render_card(name: str, config: dict[str, Any], documents: dict[str, dict[str
             )
     path, training = stages["path"]["config"], stages["path"]["training"]
     data = training["data"]
-    does = _STAGE_1 + (" " + _STAGE_2 if "policy" in stages else "")
+    does = _STAGE_1 + _STAGE_2 if "policy" in stages else _STAGE_1
     parts = [
         f"""\
 ---
@@ -135,67 +172,67 @@ tags: [robotics, human-robot-interaction, legibility, diffusion]
 
 # {name}
 
-The Legibility Modulator for {path["dim"]}-D block reaching. {does}
+The Legibility Modulator for {path["dim"]}-D block reaching.
+
+{does}
 Use it with `legibility.Modulator.from_pretrained("{name}")`.
 
 ## Data
-
-{data["scenes"]:,} random scenes with {data["goals"][0]} to {data["goals"][1]} goals (stream
-`{data["stream"]}`, seed {data["seed"]}), {data["per_scene"]} trajectories a scene chosen flat along
-ℓ from its quality-diversity archive; labels `{path["label"]}`, σ = {path["sigma"]} m,
-α = {path["alpha"]}. SHA-256 over the shards: `{training["digest"]}`.
-
-## Training of stage 1
-
-{_trained(training, "{scenes} scenes × {per_scene} trajectories")}
-
-## How exact the dial is
-
-{dial_section(documents["dial"])}"""
+""",
+        _filled(f"""\
+{data["scenes"]:,} random scenes with {_goals(data)} (stream `{data["stream"]}`, seed
+{data["seed"]}), {data["per_scene"]} trajectories a scene chosen flat along ℓ from its
+quality-diversity archive; labels `{path["label"]}`, σ = {path["sigma"]} m, α = {path["alpha"]}.
+SHA-256 over the shards: `{training["digest"]}`."""),
+        "\n## Training of stage 1\n",
+        _trained(training, "{scenes} scenes × {per_scene} trajectories"),
     ]
     if "policy" in stages:
         policy = stages["policy"]["training"]
         shown = policy["demonstrations"]
-        parts.append(f"""\
-## Training of stage 2
-
+        parts += [
+            "\n## Training of stage 2\n",
+            _filled(f"""\
 {shown["number"]:,} demonstrations, {shown["demonstrations"]} in each of {shown["demonstrated"]:,}
 scenes of the same data: a feedback controller follows paths of the archive in BlockReach2D, with
 noise of {1e3 * shown["noise"]:g} mm a step and, in {shown["pushed"]:.0%}, a push of
-{1e2 * shown["push"]:g} cm. SHA-256 over the shards: `{policy["digest"]}`.
+{1e2 * shown["push"]:g} cm. SHA-256 over the shards: `{policy["digest"]}`."""),
+            "",
+            _trained(policy, "{batch:,} moments of demonstrations"),
+        ]
+    parts += ["\n## How exact the dial is\n", dial_section(documents["dial"])]
+    if "policy" in stages:
+        parts += [
+            "\n## How well motions are executed\n",
+            execution_section(documents["execution"]),
+            "\n## How exact the dial of executed motions is\n",
+            dial_section(documents["closed-loop"]),
+        ]
+    parts += [
+        "\n## Limits\n",
+        _filled(f"""\
+The observer is a model (a Gaussian around each goal), not a person. It was trained on the default
+workspace of {path["dim"]}-D scenes alone; obstacles are not known. Labels are ranks within a
+scene's archive: the same ℓ is a different score in another scene."""),
+        "",
+    ]
+    return "\n".join(parts)
 
-{_trained(policy, "{batch} steps of demonstrations")}
 
-## How well motions are executed
-
-{execution_section(documents["execution"])}
-
-## How exact the dial of executed motions is
-
-{dial_section(documents["closed-loop"])}""")
-    parts.append(f"""\
-## Limits
-
-The observer is a model (a Gaussian around each goal), not a person. It was trained on the
-default workspace of {path["dim"]}-D scenes alone; obstacles are not known. Labels are ranks within
-a scene's archive: the same ℓ is a different score in another scene.
-""")
-    return "\n\n".join(parts)
-
-
-_STAGE_1 = f"""Stage 1, the intent-aware path
-diffuser: from start, goals and ℓ in [−1, 1] to {NUM_WAYPOINTS} waypoints."""
-
-_STAGE_2 = """Stage 2, the path-guided policy:
-from two states, goal and path to actions, closed loop."""
+_STAGE_1 = f"""\
+* Stage 1, the intent-aware path diffuser: from start, goals and ℓ in [−1, 1] to {NUM_WAYPOINTS}
+  waypoints.
+"""
+_STAGE_2 = """\
+* Stage 2, the path-guided policy: from two states, goal and path to actions, closed loop.
+"""
 
 
 def _trained(training: dict[str, Any], batch: str) -> str:
     settings = training["training"]
     alone = settings["steps"] * training["step_seconds"] / 60
-    return f"""\
-{training["parameters"]:,} parameters; {settings["steps"]:,} steps of
-{batch.format(**settings)}, seed {settings["seed"]}, in {training["seconds"] / 60:.0f} minutes on
-{training["device"]} ({training["threads"]} threads, PyTorch {training["torch"]}), validation
-included. The machine is shared: by the quickest tenth of the log the steps alone take {alone:.0f}
-minutes."""
+    return _filled(f"""\
+{training["parameters"]:,} parameters; {settings["steps"]:,} batches of {batch.format(**settings)},
+seed {settings["seed"]}, in {training["seconds"] / 60:.0f} minutes on {training["device"]}
+({_threads(training)}, PyTorch {training["torch"]}), validation included. The
+machine is shared: by the quickest tenth of the log the batches alone take {alone:.0f} minutes.""")

@@ -6,10 +6,11 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..checks import Array, bounded, count
 from ..dataset import DatasetConfig
@@ -18,19 +19,36 @@ from ..errors import InvalidInputError
 from ..execution import Driver, Feedback, Policy, Replay, Rollout
 from ..modulator import Modulator
 from ..motion.archive import Archive
+from ..motion.tracking import NOMINAL_GAIN, PathTracker
+from ..path import Path
 from ..scene import Scene, stream_seed
-from .statistics import rank_correlation, share_interval, summary
+from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
 
 __all__ = ["ROWS", "ExecutionConfig", "evaluate_execution"]
 
+
+class Row(NamedTuple):
+    """What is compared: who moves the robot, and what is done to it on its way."""
+
+    text: str
+    driver: str
+    disturbance: str | None = None
+    """`push` or `shift`, an option of the environment."""
+    replan: bool = True
+    """What does not follow a path in closed loop is off it by design, and plans no other."""
+
+
 ROWS = {
-    "policy": "stage 2",
-    "policy, pushed": "stage 2, pushed once by 10 cm",
-    "policy, goal moved": "stage 2, the target moved once by 10 cm",
-    "goal only": "stage 2 without the path",
-    "open loop": "open-loop replay of the path's displacements",
-    "feedback": "the feedback controller that demonstrated",
-    "feedback, pushed": "the same, pushed once by 10 cm",
+    "policy": Row("stage 2", "policy"),
+    "policy, pushed": Row("stage 2, pushed once", "policy", "push"),
+    "policy, goal moved": Row("stage 2, the target moved once", "policy", "shift"),
+    "goal only": Row("stage 2 without the path", "goal only", replan=False),
+    "open loop": Row("open-loop replay of the path's displacements", "open loop", replan=False),
+    "open loop, mean gain": Row(
+        "the same, divided by the mean of the hidden gains", "mean gain", replan=False
+    ),
+    "feedback": Row("the feedback controller that demonstrated", "feedback"),
+    "feedback, pushed": Row("the same, pushed once", "feedback", "push"),
 }
 """What is compared, and what it is."""
 
@@ -73,13 +91,15 @@ def evaluate_execution(
 ) -> dict[str, Any]:
     """Execute plans of `modulator` by stage 2 and by what it is compared with.
 
-    Every row of `ROWS` has the same scenes, levels, plans, hidden gains and lags.
+    Every row of `ROWS` has the same scenes, levels, plans, hidden gains, lags and disturbances.
 
     Returns:
         `rows`: of each of `ROWS` its success with interval, the reasons of the ends, what was
-        achieved against what was asked, the deviation from the planned curve, violations;
+        achieved against what was asked (of all rollouts, however they ended; not where the target
+        moved, as its label would be another scene's), the deviation from the curve that was
+        followed at the time over the length of the first, violations;
         `step_ms`: a control step of one robot on one core, policy included, amortised over a chunk;
-        `rollouts_per_second`: 256 robots at once, planning included.
+        `rollouts_per_second`: of stage 2, planning included, `at_once` robots on `threads` threads.
     """
     config = config or ExecutionConfig()
     policy = modulator.path_policy
@@ -105,36 +125,67 @@ def evaluate_execution(
     drivers: dict[str, Callable[[int], Driver]] = {
         "policy": lambda seed: Policy(policy, seed),
         "goal only": lambda seed: Policy(policy, seed, with_path=False),
-        "open loop": lambda seed: Replay(policy.config.limit),
+        "open loop": lambda seed: _OpenLoop(policy.config.limit, 1.0),
+        "mean gain": lambda seed: _OpenLoop(policy.config.limit, NOMINAL_GAIN),
         "feedback": lambda seed: Feedback(),
     }
-    disturbances = {"pushed": "push", "goal moved": "shift"}
     rows, speed = {}, 0.0
+    plans: dict[int, list[Path]] = {}  # of the first row, for all of them
     done = config.scenes
-    for name in ROWS:
-        who, _, what = name.partition(", ")
-        options = {disturbances[what]: config.disturbance} if what else {}
+    for name, row in ROWS.items():
+        options = {row.disturbance: config.disturbance} if row.disturbance else {}
         rollouts: list[Rollout] = []
         started = time.perf_counter()
         for first in range(0, config.rollouts, _BATCH):
             part = slice(first, first + _BATCH)
+            plan_seed, policy_seed, env_seed = _seeds(config.seed, first)
             env = BlockReach2DVector(len(each[part]))
-            env.reset(
-                seed=_number(config.seed, first),
-                options={"scene": [scenes[i] for i in each[part]], **options},
-            )
+            env.reset(seed=env_seed, options={"scene": [scenes[i] for i in each[part]], **options})
             found = modulator.execute(
-                env, legibility=levels[part], seed=first, driver=drivers[who](first),
-                replan=who in ("policy", "feedback"),  # the others are off the path by design
+                env, legibility=levels[part], seed=plan_seed, path=plans.get(first),
+                driver=drivers[row.driver](policy_seed), replan=row.replan,
             )  # fmt: skip
             assert isinstance(found, list)
+            plans.setdefault(first, [rollout.path for rollout in found])
             rollouts += found
             progress(done + len(rollouts), total)
         if name == "policy":
             speed = config.rollouts / (time.perf_counter() - started)
         done += config.rollouts
         rows[name] = _figures(rollouts, levels, each, archives, policy.config.limit)
-    return {"rows": rows, "step_ms": step_ms, "rollouts_per_second": speed}
+        if row.disturbance == "shift":
+            for figure in ("spearman", "error"):
+                del rows[name][figure]
+    return {
+        "rows": rows,
+        "step_ms": step_ms,
+        "rollouts_per_second": speed,
+        "at_once": min(_BATCH, config.rollouts),
+        "threads": torch.get_num_threads(),
+    }
+
+
+class _OpenLoop(Replay):
+    """The path's displacements over a gain, once; then the robot stands still."""
+
+    def __init__(self, limit: float, gain: float) -> None:
+        super().__init__(limit)
+        self.gain = gain
+        self._sent: set[int] = set()
+
+    def __call__(
+        self,
+        rows: NDArray[np.intp],
+        positions: Array,
+        previous: Array,
+        goals: Array,
+        tracker: PathTracker,
+    ) -> Array:
+        """See `Driver`."""
+        actions = super().__call__(rows, positions, previous, goals, tracker) / self.gain
+        actions[[row in self._sent for row in rows.tolist()]] = 0
+        self._sent.update(rows.tolist())
+        return actions
 
 
 def _figures(
@@ -149,19 +200,20 @@ def _figures(
     # A rollout with a new plan deviates from the path that it followed at the time.
     deviation = np.array([r.deviation.mean() for r in rollouts])
     lengths = np.array([r.path.length for r in rollouts])
+    shares = np.array([success[o].mean() for o in own])
     actions = np.concatenate([r.actions for r in rollouts])
     states = np.concatenate([r.states for r in rollouts])
     low, high = rollouts[0].path.scene.workspace
     return {
         "rollouts": len(rollouts),
-        "success": {"mean": success.mean(), "interval": share_interval(success)},
+        "success": {"mean": success.mean(), "interval": _interval(success, shares)},
         "reasons": dict(Counter(r.reason for r in rollouts)),
         "spearman": summary(np.array([rank_correlation(levels[o], achieved[o]) for o in own])),
         "error": summary(np.array([np.abs(achieved - levels)[o].mean() for o in own])),
         "error_of_plan": summary(np.array([np.abs(planned - levels)[o].mean() for o in own])),
         "deviation": summary(np.array([(deviation / lengths)[o].mean() for o in own])),
         "steps": float(np.mean([len(r.actions) for r in rollouts])),
-        "replans": float(np.mean([len(r.replans) for r in rollouts])),
+        "replanned": float(np.mean([len(r.replans) > 0 for r in rollouts])),
         "wall_contacts": sum(r.wall_contacts for r in rollouts),
         "states_outside": int(((states < low - 1e-9) | (states > high + 1e-9)).any(-1).sum()),
         "actions_not_finite": int((~np.isfinite(actions)).any(-1).sum()),
@@ -169,10 +221,16 @@ def _figures(
     }
 
 
-def _number(seed: int, index: int) -> int:
-    """A seed for the environments from `index` on, which take consecutive ones."""
-    draw = stream_seed("evaluation", seed, 0, "demonstration")
-    return int(draw.generate_state(1, np.uint64)[0] >> 2) + index
+def _interval(success: NDArray[Any], shares: Array) -> tuple[float, float]:
+    """The wider of the exact interval and of the one over scenes, in which failures may gather."""
+    exact, over_scenes = share_interval(success), bootstrap_interval(shares)
+    return min(exact[0], over_scenes[0]), max(exact[1], over_scenes[1])
+
+
+def _seeds(seed: int, first: int) -> list[int]:
+    """Seeds of the plans, the policy and the environments, which take consecutive ones."""
+    draw = stream_seed("evaluation", seed, first, "demonstration")
+    return [int(word >> 2) for word in draw.generate_state(3, np.uint64)]
 
 
 def step_milliseconds(modulator: Modulator, scene: Scene, repeats: int = 5) -> float:

@@ -19,20 +19,23 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..checks import Array
 from ..colors import INK, MUTED
 from ..envs.block_reach_2d import BlockReach2DVector
 from ..errors import InvalidInputError, OutputError
 from ..execution import Rollout
 from ..files import atomic_path
-from ..intent.observers import time_to_confidence
+from ..scene import Scene
 from .figures import STYLE, figure_file, flat, goal_colors, scene_axes
+from .statistics import CONFIDENT, clear_step
+
+Picture = NDArray[np.uint8]
 
 __all__ = ["FILMS", "MOST", "check_film", "check_number", "execution_figure", "execution_film"]
 
@@ -43,9 +46,10 @@ MOST = 25
 """Motions that are shown side by side."""
 
 _SECONDS = 1 / BlockReach2DVector.metadata["render_fps"]
-_CONFIDENT = 0.8
 _COLUMNS = 5
 _DPI = {".gif": 110, ".mp4": 200}
+_EXACT = 48
+_KEYS = 5
 _DOTTED = (0, (1, 2))
 _HOLD = 1.5
 """How long a film stands still at its end [s]."""
@@ -82,17 +86,24 @@ def execution_figure(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
         OutputError: another suffix, or the file cannot be written.
     """
     check_number(len(rollouts))
-    layout = _Layout(len(rollouts))
-    with figure_file(file, layout.width, layout.height) as figure:
-        _Stage(figure, layout, rollouts).show(np.inf)
+    layout = _Layout(len(rollouts), rollouts[0].path.scene)
+    with figure_file(file, *layout.size) as figure:
+        stage = _Stage(figure, layout, rollouts)
+        stage.show(stage.last)
 
 
-def execution_film(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
+def execution_film(
+    rollouts: Sequence[Rollout],
+    file: str | FilePath,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
     """Film executed motions side by side, in real time, a frame a control step.
 
     Args:
         rollouts: in one scene, toward one target.
         file: where to; .gif, or .mp4 where ffmpeg is installed.
+        progress: called with frames done and to do.
 
     Raises:
         InvalidInputError: there are none, or too many.
@@ -101,24 +112,35 @@ def execution_film(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
     check_film(file)
     check_number(len(rollouts))
     suffix = FilePath(file).suffix.lower()
-    layout = _Layout(len(rollouts))
-    write: Callable[..., None] = _write_gif if suffix == ".gif" else _write_mp4
+    layout = _Layout(len(rollouts), rollouts[0].path.scene)
+    write = _write_gif if suffix == ".gif" else _write_mp4
     with style.context(["default", STYLE]), atomic_path(file) as temporary:
-        figure = Figure((layout.width, layout.height), dpi=_DPI[suffix], layout="constrained")
+        figure = Figure(layout.size, dpi=_DPI[suffix])
         stage = _Stage(figure, layout, rollouts)
-        write(temporary, *stage.frames())
+        write(temporary, *stage.frames(progress))
 
 
 class _Layout:
-    """How many columns and rows the motions take, and the size of the figure [in]."""
+    """Where everything is [in], so that scenes and panels of all motions are aligned exactly."""
 
-    def __init__(self, number: int) -> None:
+    def __init__(self, number: int, scene: Scene) -> None:
         self.rows = -(-number // _COLUMNS)
         self.columns = -(-number // self.rows)
-        self.key_columns = min(self.columns, 4) if self.columns > 1 else 1
-        self.width = self.columns * (2.3 if self.columns < 3 else 1.75) + 0.35
-        scene = 2.3 if self.columns < 3 else 1.75
-        self.height = self.rows * (scene + 1.15) + 0.2 * -(-4 // self.key_columns)
+        extent = scene.workspace[1] - scene.workspace[0]
+        width = 2.2 if self.columns < 3 else 1.62
+        height = width * (np.clip(extent[1] / extent[0], 0.5, 1.5) if scene.dim == 2 else 0.9)
+        self.key_columns = (1, 2, 2, 3, 5)[self.columns - 1]
+        self.key = 0.06 + 0.165 * -(-_KEYS // self.key_columns)
+        self.widths = [0.42, *[width, 0.12] * self.columns]
+        self.heights = [*[0.38, height, 0.22, 0.8, 0.36] * self.rows, self.key]
+        self.size = sum(self.widths), sum(self.heights)
+
+    def grid(self, figure: Figure) -> GridSpec:
+        """The cells, gaps included."""
+        return figure.add_gridspec(
+            len(self.heights), len(self.widths), left=0, right=1, bottom=0, top=1, wspace=0,
+            hspace=0, width_ratios=self.widths, height_ratios=self.heights,
+        )  # fmt: skip
 
 
 class _Stage:
@@ -126,30 +148,32 @@ class _Stage:
 
     def __init__(self, figure: Figure, layout: _Layout, rollouts: Sequence[Rollout]) -> None:
         self.figure = figure
-        self.longest = max(len(r.actions) for r in rollouts) * _SECONDS
+        self.last = max(len(rollout.actions) for rollout in rollouts)
         path = rollouts[0].path
         self.colors = goal_colors(path.scene.num_goals, path.target)
-        cells = figure.add_gridspec(
-            2 * layout.rows, layout.columns, height_ratios=[1.75, 1] * layout.rows
-        )
+        figure.set_layout_engine("none")
+        cells = layout.grid(figure)
         self.motions = []
         for number, rollout in enumerate(rollouts):
             row, column = divmod(number, layout.columns)
             panel = figure.add_subplot(
-                cells[2 * row + 1, column], xlim=(0, self.longest), ylim=(-0.04, 1.06)
+                cells[5 * row + 3, 2 * column + 1],
+                xlim=(0, self.last * _SECONDS),
+                ylim=(-0.04, 1.06),
             )
             panel.set_yticks((0, 0.5, 1), ("0", "½", "1"))
             panel.locator_params(axis="x", nbins=4)
+            panel.xaxis.set_major_formatter("{x:g}")
             if number + layout.columns >= len(rollouts):
                 panel.set_xlabel("time [s]")
             if column == 0:
                 panel.set_ylabel("belief $P(g|x_t)$")
             else:
                 panel.tick_params(labelleft=False)
-            curves = rollout.states[None]
             axes = scene_axes(
-                figure, cells[2 * row, column], path.scene, path.target, curves, blocks=1.5
-            )
+                figure, cells[5 * row + 1, 2 * column + 1], path.scene, path.target,
+                rollout.states[None], blocks=1.6,
+            )  # fmt: skip
             self.motions.append(_Motion(axes, panel, rollout, self.colors))
         self._add_key(layout, path.target)
 
@@ -157,110 +181,111 @@ class _Stage:
         others = [color for goal, color in enumerate(self.colors) if goal != target]
 
         def square(color: str) -> Line2D:
-            return Line2D([], [], ls="", marker="s", ms=5, color=color)
+            return Line2D([], [], ls="", marker="s", ms=4.5, color=color)
 
         def line(color: str) -> Line2D:
             return Line2D([], [], color=color, lw=2)
 
         entries: list[tuple[Any, str]] = [
             (square(self.colors[target]), "target"),
-            (tuple(map(square, others)), "other goal" + "s" * (len(others) > 1)),
-            (
-                tuple(map(line, (self.colors[target], *others[:2]))),
-                "executed, in the colour of what is believed",
-            ),
+            (tuple(map(square, others[:2])), "other goal" + "s" * (len(others) > 1)),
             (Line2D([], [], color=INK, lw=0.7, ls=_DOTTED), "planned"),
-            (_diamond([], []), rf"clear: $P(\mathrm{{target}})$ ≥ {_CONFIDENT:g} for good"),
+            (
+                tuple(map(line, (self.colors[target], others[0]))),
+                "executed; colour: what is believed",
+            ),
+            (_diamond([], []), rf"clear: $P(\mathrm{{target}})$ ≥ {CONFIDENT:g} for good"),
         ]
         handles, labels = zip(*entries, strict=True)
         self.figure.legend(
-            handles, labels, loc="outside lower center", ncols=layout.key_columns,
-            handler_map={tuple: HandlerTuple(ndivide=None, pad=0.2)}, columnspacing=1.5,
+            handles, labels, loc="lower center", borderpad=0, borderaxespad=0.4, columnspacing=1.5,
+            ncols=layout.key_columns, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.2)},
         )  # fmt: skip
 
-    def show(self, now: float) -> None:
-        """How it looks `now` [s]."""
+    def show(self, step: int) -> None:
+        """How it looks after `step` control steps."""
         for motion in self.motions:
-            motion.show(now)
+            motion.show(step)
 
-    def frames(self) -> tuple[int, Iterator[NDArray[np.uint8]]]:
-        """How many pictures `(H, W, 3)` there are, the last first as well, and the pictures."""
+    def frames(self, progress: Callable[[int, int], None]) -> tuple[Picture, Iterator[Picture]]:
+        """How it looks in the end, `(H, W, 3)`, and at each control step."""
         canvas = FigureCanvasAgg(self.figure)
-        self.show(np.inf)
-        canvas.draw()  # the layout settles with everything in it
-        self.figure.set_layout_engine("none")
         moving = [artist for motion in self.motions for artist in motion.moving]
         for artist in moving:
             artist.set_animated(True)
         canvas.draw()
         ground = canvas.copy_from_bbox(self.figure.bbox)
 
-        def picture(now: float) -> NDArray[np.uint8]:
+        def picture(step: int) -> Picture:
             canvas.restore_region(ground)
-            self.show(now)
+            self.show(step)
             for artist in moving:
                 artist.axes.draw_artist(artist)
             return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
-        number = round(self.longest / _SECONDS) + 1
-        times = itertools.chain([np.inf], (step * _SECONDS for step in range(number)))
-        return number, map(picture, times)
+        def pictures() -> Iterator[Picture]:
+            for step in range(self.last + 1):
+                progress(step, self.last + 1)
+                yield picture(step)
+
+        return picture(self.last), pictures()
 
 
 class _Motion:
     """One motion and the belief under it."""
 
     def __init__(self, axes: Any, panel: Any, rollout: Rollout, colors: list[str]) -> None:
-        path = rollout.path
+        path, target = rollout.path, rollout.path.target
         self.states = flat(axes, rollout.states)
         self.beliefs = rollout.posterior
-        self.target = path.target
         self.last = len(rollout.actions)
-        share = float(time_to_confidence(self.beliefs, path.target, _CONFIDENT))
-        self.clear = round(share * self.last) if np.isfinite(share) else self.last + 1
+        self.times = np.arange(self.last + 1) * _SECONDS
+        clear = clear_step(self.beliefs, target)
+        self.clear = self.last + 1 if clear is None else clear
         blended = self.beliefs @ np.array([to_rgb(color) for color in colors])
         self.tints = (blended[1:] + blended[:-1]) / 2
 
+        achieved = f"{round(rollout.achieved, 2) + 0:.2f}"  # + 0: never −0.00
         ended = "" if rollout.success else f", {rollout.reason}"
-        title = rf"$\ell$ = {rollout.legibility:g}" + f"\nachieved {rollout.achieved:.2f}{ended}"
+        title = rf"$\ell$ = {rollout.legibility:g}" + f"\nachieved {achieved}{ended}"
         axes.set_title(title.replace("-", "−"))
-        panel.set_title(" ", fontsize=7, pad=2)
-        planned = flat(axes, path.trajectory(129))
+        self.label = panel.set_title("", fontsize=7, pad=2)
+        panel.axhline(CONFIDENT, color=MUTED, lw=0.6, ls=_DOTTED, zorder=0)
+        # A film draws these anew too, so that trails stay below them.
+        front = [artist for artist in axes.get_children() if artist.get_zorder() > 5]
 
         def add(artist: Any, to: Any = axes) -> Any:
             to.add_artist(artist).set_clip_on(False)
             return artist
 
-        front = [artist for artist in axes.get_children() if artist.get_zorder() > 5]
+        planned = flat(axes, path.trajectory(129))
         self.halo = add(Line2D([], [], color="white", lw=3.2, zorder=4))
-        self.trail = add(LineCollection([], linewidths=2, capstyle="round", zorder=4.1))
-        self.plan = add(Line2D(*planned.T, color=INK, lw=0.7, ls=_DOTTED, zorder=4.2))
-        self.spot = add(_diamond(*self.states[[min(self.clear, self.last)]].T))
-        self.robot = add(Line2D([], [], marker="o", ms=5, color=INK, mec="white", zorder=10))
-        times = np.arange(self.last + 1) * _SECONDS
-        self.times = times
+        self.trail = add(_Trail([], linewidths=2, capstyle="round", zorder=4.1))
+        plan = add(Line2D(*planned.T, color=INK, lw=0.7, ls=_DOTTED, zorder=4.2))
+        self.robot = add(
+            Line2D([], [], marker="o", ms=4.5, color=INK, mec="white", mew=0.6, zorder=10)
+        )
         self.lines = [
-            add(Line2D([], [], color=color, lw=1.8 if goal == path.target else 1.1,
-                       zorder=5 if goal == path.target else 4), panel)
+            add(Line2D([], [], color=color, lw=1.8 if goal == target else 1.1,
+                       zorder=5 if goal == target else 4), panel)
             for goal, color in enumerate(colors)
         ]  # fmt: skip
-        start = min(self.clear, self.last)
+        at = slice(self.clear, self.clear + 1)
+        self.spot = add(_diamond(*self.states[at].T))
+        self.moment = add(_diamond(self.times[at], self.beliefs[at, target]), panel)
         self.shade = add(
-            Rectangle((times[start], -0.04), 0, 1.1, color=colors[path.target], alpha=0.15, lw=0,
-                      zorder=1), panel,
+            Rectangle((self.clear * _SECONDS, -0.04), 0, 1.1, color=colors[target], alpha=0.15,
+                      lw=0, zorder=1), panel,
         )  # fmt: skip
-        self.moment = add(_diamond(times[start : start + 1], self.beliefs[start, [path.target]]), panel)
-        panel.axhline(_CONFIDENT, color=MUTED, lw=0.6, ls=_DOTTED, zorder=0)
-        self.label = panel.title
         self.moving = sorted(
-            [*front, self.halo, self.trail, self.plan, self.spot, self.robot, *self.lines, self.shade,
+            [*front, self.halo, self.trail, plan, self.spot, self.robot, self.shade, *self.lines,
              self.moment, self.label],
             key=lambda artist: artist.get_zorder(),
         )  # fmt: skip
 
-    def show(self, now: float) -> None:
-        """How it looks `now` [s]."""
-        step = min(self.last, int(min(now, 1e6) / _SECONDS + 1e-6))
+    def show(self, step: int) -> None:
+        """How it looks after `step` control steps."""
+        step = min(step, self.last)
         seen = self.states[: step + 1]
         self.halo.set_data(*seen.T)
         self.trail.set_segments(np.stack([seen[:-1], seen[1:]], axis=1))
@@ -272,12 +297,19 @@ class _Motion:
         for artist in (self.spot, self.moment, self.shade):
             artist.set_visible(clear)
         self.shade.set_width(max(0, step - self.clear) * _SECONDS)
-        text = " "
         if clear:
-            text = f"clear after {self.clear * _SECONDS:.2f} s" if self.clear else "clear from the start"
-        elif step == self.last:
-            text = "never clear"
-        self.label.set_text(text)
+            after = f"after {self.clear * _SECONDS:.2f} s" if self.clear else "from the start"
+            self.label.set_text(f"clear {after}")
+        else:
+            self.label.set_text("never clear" if step == self.last else "")
+
+
+class _Trail(LineCollection):
+    """Segments, flat already, which 3-D axes take as well."""
+
+    def do_3d_projection(self) -> float:
+        """Nothing is left to project."""
+        return 0.0
 
 
 def _diamond(x: Any, y: Any) -> Line2D:
@@ -285,30 +317,48 @@ def _diamond(x: Any, y: Any) -> Line2D:
     return Line2D(x, y, ls="", marker="D", ms=4.5, color="white", mec=INK, mew=1, zorder=9)
 
 
-def _write_gif(file: FilePath, number: int, pictures: Iterator[NDArray[np.uint8]]) -> None:
-    palette = Image.new("P", (1, 1))  # one for all, so that it is kept once
-    palette.putpalette(_main_colors(next(pictures), 255).tobytes())
-    frames = (
-        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-        for picture in pictures
-    )
-    durations = [round(1000 * _SECONDS)] * (number - 1) + [round(1000 * (_HOLD + _SECONDS))]
+def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture]) -> None:
+    palette = _Palette(final)  # one for all, so that it is kept once
+    frames = map(palette.image, pictures)
+    hold = [palette.image(final)] * round(_HOLD / _SECONDS)  # kept as one frame that lasts
     next(frames).save(
-        file, format="GIF", save_all=True, append_images=frames, duration=durations, loop=0,
-        disposal=1, optimize=False,
+        file, format="GIF", save_all=True, append_images=itertools.chain(frames, hold),
+        duration=round(1000 * _SECONDS), loop=0, disposal=1, optimize=False,
     )  # fmt: skip
 
 
-def _main_colors(picture: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
-    """The most frequent colours, `(number or fewer, 3)`; text and lines keep theirs exactly."""
-    red, green, blue = np.moveaxis(picture.astype(np.uint32), -1, 0)
-    found, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)
-    packed = found[np.argsort(-counts, kind="stable")[:number]]
-    return np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=-1).astype(np.uint8)
+class _Palette:
+    """255 colours of a picture: the most frequent exactly, and some for all the rest."""
+
+    def __init__(self, picture: Picture) -> None:
+        red, green, blue = np.moveaxis(picture.astype(np.uint32), -1, 0)
+        found, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)
+        found = found[np.argsort(-counts, kind="stable")[:_EXACT]]
+        kept = np.stack([found >> 16, found >> 8 & 255, found & 255], axis=-1).astype(np.uint8)
+        rest = Image.fromarray(picture).quantize(255 - len(kept), Image.Quantize.MAXCOVERAGE)
+        more = np.array(rest.getpalette(), dtype=np.uint8).reshape(-1, 3)
+        self.colors = np.concatenate([kept, more])[:255]
+        # The nearest colour of each bin of colours, by its middle.
+        red, green, blue = np.unravel_index(np.arange(2**16), (32, 64, 32))
+        middle = np.stack([red * 255 / 31, green * 255 / 63, blue * 255 / 31], axis=-1)
+        colors = self.colors.astype(np.float64)
+        near = (colors**2).sum(-1) - 2 * middle @ colors.T
+        self.nearest = near.argmin(-1).astype(np.uint8)
+        self.nearest[self._bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
+
+    @staticmethod
+    def _bins(colors: Picture) -> NDArray[np.uint16]:
+        red, green, blue = np.moveaxis(colors.astype(np.uint16), -1, 0)
+        return (red >> 3) << 11 | (green >> 2) << 5 | blue >> 3
+
+    def image(self, picture: Picture) -> Image.Image:
+        """The picture `(H, W, 3)` in these colours."""
+        image = Image.fromarray(self.nearest[self._bins(picture)])
+        image.putpalette(self.colors.tobytes())
+        return image
 
 
-def _write_mp4(file: FilePath, number: int, pictures: Iterator[NDArray[np.uint8]]) -> None:
-    final = next(pictures)
+def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture]) -> None:
     height, width, _ = final.shape
     rate = round(1 / _SECONDS)
     command = [
@@ -329,4 +379,4 @@ def _write_mp4(file: FilePath, number: int, pictures: Iterator[NDArray[np.uint8]
             pass
         said = encoder.stderr.read().decode(errors="replace").strip()
     if encoder.returncode:
-        raise OutputError(f"cannot write the film {file}: ffmpeg: {said or encoder.returncode}")
+        raise OSError(f"ffmpeg: {said or f'exit status {encoder.returncode}'}")

@@ -7,8 +7,19 @@ from collections.abc import Callable
 import numpy as np
 
 from ..checks import Array
+from ..intent.observers import time_to_confidence
 
-__all__ = ["bootstrap_interval", "rank_correlation", "share_interval", "summary"]
+__all__ = [
+    "CONFIDENT",
+    "bootstrap_interval",
+    "clear_step",
+    "rank_correlation",
+    "share_interval",
+    "summary",
+]
+
+CONFIDENT = 0.8
+"""From this P(target) on, held for good, the intent is clear."""
 
 
 def bootstrap_interval(
@@ -30,6 +41,12 @@ def bootstrap_interval(
         rng=np.random.default_rng(0),
     ).confidence_interval
     return float(found.low), float(found.high)
+
+
+def clear_step(posterior: Array, target: int) -> int | None:
+    """From which state of `posterior (T, G)` on the intent is clear; None if it never is."""
+    share = float(time_to_confidence(posterior, target, CONFIDENT))
+    return round(share * (len(posterior) - 1)) if np.isfinite(share) else None
 
 
 def rank_correlation(asked: Array, achieved: Array) -> float:
