@@ -255,7 +255,7 @@ class Modulator:
                 f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
                 f"the environment's limit is {fleet.limit} m"
             )
-        tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
+        off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for(fleet.size, legibility)
         if target is not None:
             wanted = (
@@ -291,7 +291,7 @@ class Modulator:
 
         rollouts = follow(
             fleet, paths, driver,
-            plan_again=plan_again if replan else None, tolerance=tolerance,
+            plan_again=plan_again if replan else None, tolerance=off,
         )  # fmt: skip
         return rollouts if hasattr(env.unwrapped, "num_envs") else rollouts[0]
 

@@ -75,7 +75,7 @@ class Path:
             self,
             legibility=self.legibility[index],
             waypoints=self.waypoints[index],
-            clipped=self.clipped[index],
+            clipped=np.asarray(self.clipped)[index],
         )
 
 

@@ -143,5 +143,5 @@ def execute(
             "never" if row["clear_after"] is None else number(row["clear_after"], 2),
             str(len(row["actions"])), number(1e3 * row["deviation"], 1), row["reason"],
         )  # fmt: skip
-    error = np.mean([abs(row["achieved"] - row["legibility"]) for row in rows])
+    error = float(np.mean([abs(row["achieved"] - row["legibility"]) for row in rows]))
     show(figures, f"mean |executed − asked| {number(error)}")

@@ -189,7 +189,11 @@ class _OpenLoop(Replay):
 
 
 def _figures(
-    rollouts: list[Rollout], levels: Array, each: Array, archives: list[Archive], limit: float
+    rollouts: list[Rollout],
+    levels: Array,
+    each: NDArray[np.intp],
+    archives: list[Archive],
+    limit: float,
 ) -> dict[str, Any]:
     success = np.array([r.success for r in rollouts])
     achieved, planned = (
@@ -206,7 +210,7 @@ def _figures(
     low, high = rollouts[0].path.scene.workspace
     return {
         "rollouts": len(rollouts),
-        "success": {"mean": success.mean(), "interval": _interval(success, shares)},
+        "success": {"mean": float(success.mean()), "interval": _interval(success, shares)},
         "reasons": dict(Counter(r.reason for r in rollouts)),
         "spearman": summary(np.array([rank_correlation(levels[o], achieved[o]) for o in own])),
         "error": summary(np.array([np.abs(achieved - levels)[o].mean() for o in own])),
