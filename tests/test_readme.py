@@ -65,13 +65,26 @@ def test_pictures_are_there():
         assert (ROOT / picture).is_file()
 
 
-@pytest.mark.parametrize("name", pretrained_names())
-def test_tables_and_card_are_what_was_measured_with_these_weights(name):
-    weights = pretrained_folder(name)
-    hashes = {
+def test_every_result_is_of_shipped_weights():
+    files = sorted((ROOT / "results").glob("*.json"))
+    assert files
+    for file in files:
+        model = json.loads(file.read_text())["model"]
+        weights = pretrained_folder(model["name"])
+        assert model == {"name": model["name"], **hashes_of(weights)}, file.name
+
+
+def hashes_of(weights):
+    return {
         file.stem: hashlib.sha256(file.read_bytes()).hexdigest()
         for file in weights.glob("*.safetensors")
     }
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_tables_and_card_are_what_was_measured_with_these_weights(name):
+    weights = pretrained_folder(name)
+    hashes = hashes_of(weights)
     sections = {
         "dial": dial_section, "closed-loop": dial_section, "execution": execution_section,
     }  # fmt: skip

@@ -1,3 +1,4 @@
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,7 +21,7 @@ def call(words: str, *more: object) -> int:
     return main([*words.split(), *map(str, more)])
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def cli() -> Callable[..., int]:
     return call
 
@@ -62,6 +63,22 @@ def run(dataset: Path, tmp_path_factory: pytest.TempPathFactory, one_thread: Non
 def weights(run: Path) -> str:
     """A model as it is given to `--model`."""
     return str(run / "weights")
+
+
+@pytest.fixture(scope="session")
+def executable(run: Path, dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A model with both stages as it is given to `--model`."""
+    folder = tmp_path_factory.mktemp("cli")
+    shown, weights = folder / "shown", shutil.copytree(run / "weights", folder / "both")
+    words = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --demonstrations 2 --out"
+    assert call(words, shown) == 0
+    words = (
+        "train policy --steps 20 --batch 16 --warmup 1 --validate-every 20 --checkpoint-every 20"
+        " --channels 8 16 --condition 16"
+    )
+    paths = ["--data", shown, "--validation", dataset, "--out", folder / "policy"]
+    assert call(words, *paths, "--weights", weights) == 0
+    return str(weights)
 
 
 @pytest.fixture

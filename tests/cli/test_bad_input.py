@@ -57,6 +57,57 @@ def test_plan(flags, message, weights, refused):
     assert message in refused(line, weights)
 
 
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--target 2", "target must be a goal's index from 0 to 1, got 2"),
+        ("--legibility 1.5", "legibility must lie in [-1, 1], got 1.5"),
+        ("--legibility", "at least one"),
+        ("--legibility -1:1:26", "shows 1 to 25 motions, got 26"),
+        ("--seed -1", "seed must be"),
+        ("--noise -1", "noise must"),
+        ("--noise nan", "noise must"),
+        ("--push -0.1", "push must"),
+        ("--shift inf", "shift must"),
+    ],
+)
+def test_execute(flags, message, refused):
+    line = f"execute scene.yaml {flags} --json j.json --csv c.csv --figure f.png --video f.gif"
+    assert message in refused(line)
+
+
+@pytest.mark.parametrize("name", ["f.avi", "f", "f.png", "scene.yaml/f.gif", "."])
+def test_film(name, refused):
+    assert "cannot write" in refused("execute scene.yaml --model none --video", name)
+
+
+def test_film_without_ffmpeg(here, refused, monkeypatch):
+    monkeypatch.setenv("PATH", str(here))
+    message = refused("execute scene.yaml --model none --json j.json --video f.mp4")
+    assert "cannot write the film f.mp4: .mp4 needs ffmpeg" in message
+
+
+def test_scene_that_does_not_fit_the_environment(refused):
+    Path("wide.yaml").write_text(
+        "start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nworkspace: [[-1, -1], [2, 2]]\n"
+    )
+    goals = [[0.2 * i, 0.1 + 0.1 * j] for i in range(5) for j in range(2)][:7]
+    Path("many.yaml").write_text(f"start: [0, 1]\ngoals: {goals}\n")
+    line = "--json j.json --figure f.png --video f.gif"
+    assert "scene must be 2-D here, got 3-D" in refused(f"execute solid.yaml {line}")
+    assert "the scene's workspace must be" in refused(f"execute wide.yaml {line}")
+    assert "at most 6 goals, got 7" in refused(f"execute many.yaml {line}")
+
+
+def test_model_without_stage_2(weights, refused):
+    for line in (
+        "execute scene.yaml --json j.json --figure f.png --video f.gif --model",
+        "evaluate execution --scenes 1 --rollouts 3 --json j.json --model",
+        "evaluate dial --closed-loop --scenes 1 --json j.json --model",
+    ):
+        assert "no stage 2" in refused(line, weights)
+
+
 def test_wrong_dimension_for_the_model(weights, refused):
     message = refused("plan solid.yaml --json j.json --model", weights)
     assert "plans in 2D, the scene is 3D" in message
@@ -124,6 +175,9 @@ def test_read_only_output(dataset, weights, refused):
         ["data --figure /proc/f.png --info", dataset],
         ["train path --out /proc/legibility --data", dataset],
         ["evaluate dial --json /proc/j.json --model", weights],
+        ["evaluate execution --json /proc/j.json --model", weights],
+        ["execute scene.yaml --video /proc/f.gif --model", weights],
+        ["execute scene.yaml --figure /proc/legibility/f.png --model", weights],
     ):
         assert "cannot write" in refused(*line)
 
@@ -193,3 +247,19 @@ def test_train(flags, message, dataset, refused):
 def test_evaluate(flags, message, weights, refused):
     line = f"evaluate dial --scenes 1 {flags} --json j.json --model"
     assert message in refused(line, weights)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--scenes 0", "scenes must be"),
+        ("--rollouts 2", "rollouts must be a multiple of scenes, three or more in each"),
+        ("--scenes 2 --rollouts 7", "rollouts must be a multiple of scenes"),
+        ("--goals 1..3", "goals must"),
+        ("--disturbance -1", "disturbance must"),
+        ("--seed -1", "seed must be"),
+    ],
+)
+def test_evaluate_execution(flags, message, refused):
+    line = f"evaluate execution --scenes 1 --rollouts 3 {flags} --json j.json"
+    assert message in refused(line)

@@ -17,3 +17,29 @@ def test_dial(here, weights, cli, capsys):
         assert name in text
         assert len(figures["interval"]) == 2
     assert "<svg" in Path("e.svg").read_text()
+
+
+def test_dial_of_executed_motions(here, one_thread, cli, capsys):
+    flags = "--closed-loop --scenes 1 --goals 2 --levels 3 --samples 1"
+    assert cli(f"evaluate dial {flags} --json e.json --figure e.png") == 0
+    text = capsys.readouterr().out
+    content = json.loads(Path("e.json").read_text())
+    assert content["config"]["closed_loop"] is True
+    assert set(content["model"]) == {"name", "path", "policy"}
+    assert {"success", "deviation"} < set(content["result"]["overall"])
+    assert "share of rollouts that reached the target" in text
+    assert Path("e.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_execution(here, one_thread, cli, capsys):
+    flags = "--scenes 1 --goals 2..3 --rollouts 3 --seed 1"
+    assert cli(f"evaluate execution {flags} --json e.json") == 0
+    text = capsys.readouterr().out
+    content = json.loads(Path("e.json").read_text())
+    assert content["config"] == {
+        "scenes": 1, "goals": [2, 3], "seed": 1, "rollouts": 3, "disturbance": 0.1
+    }  # fmt: skip
+    for name, row in content["result"]["rows"].items():
+        assert name in text
+        assert sum(row["reasons"].values()) == 3
+    assert "3 at once on 1 threads" in text

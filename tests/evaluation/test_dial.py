@@ -12,6 +12,7 @@ from legibility.curves import path_curve
 from legibility.dataset import DatasetConfig, paths_of
 from legibility.errors import InvalidInputError
 from legibility.evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
+from legibility.execution import Rollout
 from legibility.intent.metrics import SCORE_POINTS, legibility_score
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
@@ -300,6 +301,68 @@ class TestReport:
             assert torch.get_num_threads() == 2
         finally:
             torch.set_num_threads(before)
+
+
+class TestClosedLoop:
+    """What is measured is the executed motion, whatever was planned."""
+
+    @pytest.fixture
+    def executed(self, tiny, monkeypatch):
+        """Figures of motions that follow their paths exactly but for what `change` does to them."""
+
+        def measure(change=lambda states: states, success=True):
+            def execute(env, *, legibility, seed, path):
+                seen.append((env.gains, env.scenes, env.targets))
+                np.testing.assert_array_equal([p.legibility for p in path], legibility)
+                found = []
+                for one in path:
+                    states = change(one.trajectory(60))
+                    off = np.full(len(states) - 1, 0.01)
+                    found.append(Rollout(one, states, np.diff(states, axis=0), success,
+                                         "reached" if success else "lost", (), off, 0))  # fmt: skip
+                return found
+
+            monkeypatch.setattr(tiny, "execute", execute)
+            return evaluate_dial(tiny, dataclasses.replace(SMALL, closed_loop=True))
+
+        seen = measure.seen = []
+        return measure
+
+    def test_of_motions_that_follow_their_paths_it_is_the_dial_of_plans(self, executed, found):
+        closed = executed()
+        assert set(closed["overall"]) == set(FIGURES) - {"error_candidates", "drawn_inside"}
+        for name in ("spearman", "error", "at_1", "at_0", "at_-1", "length_ratio_at_0"):
+            for one, other in zip(closed["scenes"], found["scenes"], strict=True):
+                assert one[name] == pytest.approx(other[name], abs=0.02)
+        assert closed["overall"]["success"]["min"] == 1
+        assert json.loads(json.dumps(closed, allow_nan=False)) == closed
+
+    def test_motions_that_go_straight_have_no_dial(self, executed):
+        closed = executed(lambda states: np.linspace(states[0], states[-1], 60), success=False)
+        overall = closed["overall"]
+        assert overall["spearman"]["mean"] == 0
+        assert overall["at_1"]["mean"] == pytest.approx(0, abs=0.02)
+        assert overall["length_ratio_at_0"]["mean"] == pytest.approx(1)
+        assert overall["success"]["mean"] == 0
+
+    def test_every_motion_has_a_world_of_its_own(self, executed, tiny):
+        closed = executed()
+        for index, (gains, scenes, targets) in enumerate(executed.seen):
+            scene, _ = DatasetConfig(stream="evaluation", seed=1).scene(index)
+            assert set(scenes) == {scene}
+            assert not targets.any()
+            assert len(np.unique(gains)) == len(gains) == 10
+            lengths = tiny.plan(scene, 0, np.zeros(2)).length
+            assert 0 < closed["scenes"][index]["deviation"] < 0.01 / lengths.min() * 1.2
+
+    def test_the_real_thing(self):
+        modulator = Modulator.from_pretrained("block-reach-2d")
+        config = DialConfig(scenes=2, levels=5, samples=1, seed=1, closed_loop=True)
+        closed = evaluate_dial(modulator, config)
+        assert closed["overall"]["success"]["min"] == 1
+        assert closed["overall"]["spearman"]["min"] > 0.85
+        assert closed["overall"]["deviation"]["max"] < 0.02
+        assert evaluate_dial(modulator, config)["scenes"] == closed["scenes"]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from legibility.evaluation.statistics import bootstrap_interval, rank_correlation, summary
+from legibility.evaluation.statistics import (
+    CONFIDENT,
+    bootstrap_interval,
+    clear_step,
+    rank_correlation,
+    share_interval,
+    summary,
+)
 
 whole = st.integers(-5, 5).map(float)  # few values, so that ties happen
 
@@ -85,3 +92,35 @@ def test_summary(values):
     assert (found["min"], found["max"]) == (min(values), max(values))
     assert found["interval"] == list(bootstrap_interval(np.array(values)))
     assert all(type(found[name]) is float for name in ("mean", "min", "max"))
+
+
+class TestShareInterval:
+    @given(st.integers(1, 60), st.data())
+    def test_brackets_the_share(self, number, data):
+        happened = np.arange(number) < data.draw(st.integers(0, number))
+        low, high = share_interval(happened)
+        assert 0 <= low <= happened.mean() <= high <= 1
+        opposite = share_interval(~happened)
+        assert opposite == pytest.approx((1 - high, 1 - low), abs=1e-9)
+
+    def test_is_exact(self):
+        # Without a failure in n the bound is (α/2)^(1/n).
+        low, high = share_interval(np.ones(5000, dtype=bool))
+        assert (low, high) == pytest.approx((0.025 ** (1 / 5000), 1), abs=1e-12)
+
+    @pytest.mark.parametrize("share", [0.02, 0.5, 0.97])
+    def test_covers_the_share_at_least_as_often_as_it_says(self, share):
+        rng = np.random.default_rng(0)
+        intervals = [share_interval(rng.random(80) < share) for _ in range(300)]
+        assert np.mean([low <= share <= high for low, high in intervals]) > 0.95
+
+
+@given(st.lists(st.floats(0, 1), min_size=2, max_size=30))
+def test_clear_step(beliefs):
+    beliefs = np.array(beliefs)
+    found = clear_step(np.stack([1 - beliefs, beliefs], axis=-1), 1)
+    if found is None:
+        assert beliefs[-1] < CONFIDENT
+    else:
+        assert (beliefs[found:] >= CONFIDENT).all()
+        assert found == 0 or beliefs[found - 1] < CONFIDENT

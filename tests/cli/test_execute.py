@@ -1,0 +1,134 @@
+import contextlib
+import csv
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import legibility as lg
+from legibility.cli import main
+from legibility.envs.block_reach_2d import BlockReach2DVector
+from legibility.evaluation.statistics import clear_step
+
+LINE = "execute scene.yaml --target 1 --legibility -1:1:3 --seed 4 --push 0.1 --noise 0.001"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, one_thread):
+    """Where `LINE` has written all that it can."""
+    folder = tmp_path_factory.mktemp("execute")
+    (folder / "scene.yaml").write_text("start: [0.0, 0.5]\ngoals: [[0.8, 0.6], [1.0, 0.3]]\n")
+    outputs = "--json o/e.json --csv o/e.csv --figure o/e.png --video o/e.gif"
+    printed = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
+        assert main([*LINE.split(), *outputs.split()]) == 0
+    (folder / "printed").write_text(printed.getvalue())
+    return folder
+
+
+@pytest.fixture
+def executed(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return json.loads(Path("o/e.json").read_text()), Path("printed").read_text()
+
+
+def test_report(executed):
+    content, text = executed
+    assert set(content["model"]) == {"name", "path", "policy"}
+    assert content["seed"] == 4
+    assert content["config"] == {
+        "target": 1, "legibility": [-1, 0, 1], "replan": True, "noise": 0.001, "push": 0.1,
+        "shift": 0,
+    }  # fmt: skip
+    result = content["result"]
+    scene = lg.Scene.from_dict(result["scene"])
+    assert scene == lg.Scene.load("scene.yaml")
+    assert (result["target"], result["sigma"], result["alpha"]) == (1, 0.15, 3)
+    rows = result["rollouts"]
+    assert [row["legibility"] for row in rows] == [-1, 0, 1]
+    for row in rows:
+        assert row["reason"] in text
+        assert row["success"] == (row["reason"] == "reached")
+        assert len(row["states"]) == len(row["actions"]) + 1 == len(row["posterior"])
+        assert np.abs(row["actions"]).max() <= 0.05
+        assert scene.contains(row["states"]).all()
+        step = clear_step(np.array(row["posterior"]), 1)
+        assert row["clear_after"] == (None if step is None else pytest.approx(0.05 * step))
+
+
+def test_is_what_the_package_does(executed):
+    content, _ = executed
+    env = BlockReach2DVector(3)
+    options = {"scene": lg.Scene.load("scene.yaml"), "target": 1, "push": 0.1, "noise": 0.001}
+    env.reset(seed=[4, 4, 4], options=options)
+    assert len(set(env.gains)) == 1  # ℓ alone makes the difference
+    modulator = lg.Modulator.from_pretrained("block-reach-2d")
+    rollouts = modulator.execute(env, legibility=[-1, 0, 1], seed=4)
+    for row, rollout in zip(content["result"]["rollouts"], rollouts, strict=True):
+        np.testing.assert_allclose(row["states"], rollout.states, atol=1e-9)
+        assert row["achieved"] == pytest.approx(rollout.achieved, abs=1e-6)
+        assert row["replans"] == list(rollout.replans)
+
+
+def test_csv_is_what_score_reads(executed, cli, tmp_path):
+    content, _ = executed
+    with open("o/e.csv", newline="") as file:
+        assert len(list(csv.DictReader(file))) % 3 == 0
+    assert cli("score o/e.csv scene.yaml --target 1 --json", tmp_path / "s.json") == 0
+    rated = json.loads((tmp_path / "s.json").read_text())["result"]["trajectories"]
+    assert [row["name"] for row in rated] == ["-1", "0", "1"]
+    achieved = [row["achieved"] for row in content["result"]["rollouts"]]
+    np.testing.assert_allclose([r["achieved_label"] for r in rated], achieved, atol=0.05)
+
+
+def test_files_are_whole(executed):
+    content, _ = executed
+    assert sorted(os.listdir("o")) == ["e.csv", "e.gif", "e.json", "e.png"]
+    with Image.open("o/e.gif") as film:
+        longest = max(len(row["actions"]) for row in content["result"]["rollouts"])
+        assert film.n_frames <= longest + 1  # equal frames become one
+    with Image.open("o/e.png") as picture:
+        assert min(picture.size) > 400
+
+
+def test_same_seed_same_picture(executed, cli, tmp_path):
+    assert cli(f"{LINE} --figure", tmp_path / "again.png") == 0
+    assert (tmp_path / "again.png").read_bytes() == Path("o/e.png").read_bytes()
+
+
+def test_levels_by_default(here, executable, cli, capsys):
+    """A model that has learned nothing is stopped with a reason, not with an error."""
+    assert cli("execute scene.yaml --shift 0.1 --no-replan --model", executable) == 0
+    text = capsys.readouterr().out
+    for level in ("-1.000", "0.000", "1.000"):
+        assert level in text
+    assert sorted(os.listdir()) == ["scene.yaml", "solid.yaml"]
+
+
+def test_shipped_model_arrives(executed):
+    rows = executed[0]["result"]["rollouts"]
+    assert [row["reason"] for row in rows] == ["reached"] * 3
+    assert [row["replans"] != [] for row in rows].count(True) >= 1
+
+
+def test_full_disk_leaves_nothing(here):
+    resource = pytest.importorskip("resource")
+    before = sorted(os.listdir())
+    found = subprocess.run(
+        [sys.executable, "-m", "legibility", *["execute", "scene.yaml", "--legibility", "0"],
+         "--video", "f.gif"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
+    )  # fmt: skip
+    assert (found.returncode, found.stdout) == (2, "")
+    assert found.stderr.startswith("legibility: error: cannot write f.gif")
+    assert found.stderr.count("\n") == 1
+    assert sorted(os.listdir()) == before

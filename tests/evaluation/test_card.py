@@ -1,0 +1,212 @@
+"""What is rendered says what was measured, and only of the weights that it is about."""
+
+import copy
+import re
+
+import pytest
+
+from legibility.errors import InvalidInputError
+from legibility.evaluation.card import (
+    dial_section,
+    execution_section,
+    render_card,
+    replace_table,
+)
+from legibility.evaluation.dial import FIGURES
+from legibility.evaluation.execution import ROWS
+
+MODEL = {"name": "m", "path": "a" * 64, "policy": "b" * 64}
+
+
+def figure(mean):
+    return {"mean": mean, "interval": [mean - 0.01, mean + 0.01], "min": mean - 0.1, "max": mean}
+
+
+def dial(closed_loop=False):
+    only = {"success", "deviation"} if closed_loop else {"error_candidates", "drawn_inside"}
+    names = [n for n in FIGURES if n in only or n not in
+             {"success", "deviation", "error_candidates", "drawn_inside"}]  # fmt: skip
+    return {
+        "command": "legibility evaluate dial --scenes 3", "seed": 7, "model": MODEL,
+        "config": {"goals": [2, 6], "samples": 8, "candidates": 16, "closed_loop": closed_loop},
+        "result": {"overall": {name: figure(0.5 + i / 100) for i, name in enumerate(names)},
+                   "levels": [-1, 0, 1], "plan_ms": 7.25, "scenes": [{}, {}, {}]},
+    }  # fmt: skip
+
+
+def execution():
+    rows = {}
+    for number, name in enumerate(ROWS):
+        rows[name] = {
+            "success": {"mean": 1 - number / 1000, "interval": (0.9, 1.0)},
+            "reasons": {"reached": 5000 - number, "stalled": number} if number else
+            {"reached": 5000},
+            "spearman": figure(0.9), "error": figure(0.02), "deviation": figure(0.0012),
+            "replanned": 0.25, "states_outside": 1, "actions_not_finite": 0,
+            "actions_over_limit": 2, "wall_contacts": 3,
+        }  # fmt: skip
+    for key in ("spearman", "error"):
+        del rows["policy, goal moved"][key]
+    return {
+        "command": "legibility evaluate execution --seed 7", "seed": 7, "model": MODEL,
+        "config": {"rollouts": 5000, "scenes": 200, "goals": [2, 6], "disturbance": 0.1},
+        "result": {"rows": rows, "step_ms": 0.876, "rollouts_per_second": 321.4, "at_once": 256,
+                   "threads": 2},
+    }  # fmt: skip
+
+
+DATA = {"scenes": 12800, "seed": 0, "stream": "train", "goals": [2, 6], "per_scene": 129}
+TRAINED = {"parameters": 1304194, "seconds": 3120.0, "step_seconds": 0.18, "device": "cpu",
+           "threads": 2, "torch": "2.13.0", "digest": "d" * 64, "data": DATA}  # fmt: skip
+CONFIG = {
+    "format": 2,
+    "path": {
+        "config": {"dim": 2, "sigma": 0.15, "alpha": 3.0, "label": "anchored"},
+        "sha256": "a" * 64,
+        "training": {**TRAINED, "training": {"steps": 12000, "seed": 0, "scenes": 128,
+                                             "per_scene": 8}},
+    },
+    "policy": {
+        "config": {"dim": 2},
+        "sha256": "b" * 64,
+        "training": {**TRAINED, "training": {"steps": 8000, "seed": 0, "batch": 1024},
+                     "demonstrations": {"demonstrations": 4, "demonstrated": 3200, "number": 12800,
+                                        "noise": 0.003, "pushed": 0.25, "push": 0.1}},
+    },
+}  # fmt: skip
+
+
+def documents():
+    return {"dial": dial(), "closed-loop": dial(True), "execution": execution()}
+
+
+def cells(table):
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()
+            if line.startswith("|")]  # fmt: skip
+
+
+class TestDial:
+    @pytest.mark.parametrize("closed_loop", [False, True])
+    def test_every_figure_is_there(self, closed_loop):
+        document = dial(closed_loop)
+        text = dial_section(document)
+        rows = cells(text)[2:]
+        overall = document["result"]["overall"]
+        assert [row[0] for row in rows] == [FIGURES[name].text for name in overall]
+        for row, figures in zip(rows, overall.values(), strict=True):
+            assert row[1] == f"{figures['mean']:.4f}"
+            assert row[2] == "{:.4f} to {:.4f}".format(*figures["interval"])
+        assert "On 3 random scenes with 2 to 6 goals" in text
+        assert ("executed by stage 2" in text) == closed_loop
+        assert ("7.2 ms on one core" in text) != closed_loop
+        assert text.endswith("Measured by `legibility evaluate dial --scenes 3`.")
+
+    def test_one_number_of_goals(self):
+        document = dial()
+        document["config"]["goals"] = [4, 4]
+        assert "scenes with 4 goals that" in " ".join(dial_section(document).split())
+
+
+class TestExecution:
+    def test_every_row_is_there(self):
+        text = execution_section(execution())
+        rows = cells(text)[2:]
+        assert [row[0] for row in rows] == [row.text for row in ROWS.values()]
+        assert rows[0][1:] == [
+            "100.00% (90.00% to 100.00%)", "0.9000", "0.0200", "0.12%", "25.00%", ""
+        ]  # fmt: skip
+        assert rows[1][-1] == "1 stalled"
+        assert rows[2][2:4] == ["–", "–"]
+        assert all(len(row) == 7 for row in rows)
+
+    def test_violations_are_those_of_all_rows(self):
+        text = " ".join(execution_section(execution()).split())
+        number = len(ROWS)
+        assert f"{number} states were outside the workspace, 0 actions not finite" in text
+        assert f"{2 * number} over the limit, and {3 * number} steps were stopped" in text
+
+    def test_what_was_measured_is_told(self):
+        text = " ".join(execution_section(execution()).split())
+        assert "5,000 rollouts a row on 200 random scenes with 2 to 6 goals" in text
+        assert "by 10 cm in a random direction" in text
+        assert "0.88 ms on one core" in text
+        assert (
+            "256 robots at once 321 rollouts a second were planned and executed on 2 threads."
+            in text
+        )
+
+
+class TestCard:
+    def test_both_stages(self):
+        card = render_card("m", CONFIG, documents())
+        for document, section in (("dial", dial_section), ("closed-loop", dial_section),
+                                  ("execution", execution_section)):  # fmt: skip
+            assert section(documents()[document]) in card
+        words = " ".join(card.split())
+        assert "12,800 random scenes with 2 to 6 goals (stream `train`, seed 0)" in words
+        assert "12,000 batches of 128 scenes × 8 trajectories, seed 0, in 52 minutes" in words
+        assert "8,000 batches of 1,024 moments of demonstrations" in words
+        assert "12,800 demonstrations, 4 in each of 3,200 scenes" in words
+        assert "noise of 3 mm a step and, in 25%, a push of 10 cm" in words
+
+    def test_is_tidy_markdown(self):
+        card = render_card("m", CONFIG, documents())
+        assert card.startswith("---\nlicense: mit\n")
+        assert card.endswith(".\n")
+        assert "\n\n\n" not in card
+        assert not re.search(r"[ \t]+$", card, re.MULTILINE)
+        for line in card.splitlines():
+            assert len(line) <= 100 or line.startswith("|")
+        for heading in re.finditer(r"^#+ .*$", card, re.MULTILINE):
+            assert card[heading.start() - 2 : heading.start()] == "\n\n"
+            assert card[heading.end() : heading.end() + 2] == "\n\n"
+
+    def test_without_stage_2_the_dial_is_enough(self):
+        config = {key: CONFIG[key] for key in ("format", "path")}
+        card = render_card("m", config, {"dial": dial()})
+        assert "tage 2" not in card
+        assert dial_section(dial()) in card
+
+    @pytest.mark.parametrize("kind", ["dial", "closed-loop", "execution"])
+    def test_a_missing_measurement(self, kind):
+        found = documents()
+        del found[kind]
+        with pytest.raises(InvalidInputError, match=f"there is no {kind}-m.json"):
+            render_card("m", CONFIG, found)
+
+    @pytest.mark.parametrize(
+        ("kind", "stage"),
+        [("dial", "path"), ("closed-loop", "path"), ("closed-loop", "policy"),
+         ("execution", "path"), ("execution", "policy")],
+    )  # fmt: skip
+    @pytest.mark.parametrize("other", ["c" * 64, None])
+    def test_a_measurement_of_other_weights(self, kind, stage, other):
+        found = documents()
+        found[kind]["model"] = {**MODEL, stage: other}
+        with pytest.raises(InvalidInputError, match=f"{kind}-m.json is of other weights"):
+            render_card("m", CONFIG, found)
+
+    def test_another_stage_2_does_not_touch_the_dial_of_paths(self):
+        found = documents()
+        found["dial"]["model"] = {**MODEL, "policy": "c" * 64}
+        render_card("m", CONFIG, found)
+
+    @pytest.mark.parametrize("stage", ["path", "policy"])
+    def test_training_that_nobody_knows(self, stage):
+        config = copy.deepcopy(CONFIG)
+        config[stage]["training"] = None
+        with pytest.raises(InvalidInputError, match=f"does not say how its {stage} was trained"):
+            render_card("m", config, documents())
+
+
+class TestReplace:
+    def test_only_what_is_between(self):
+        page = "a\n<!-- x -->\nold\n<!-- /x -->\nb\n<!-- xy -->\nkept\n<!-- /xy -->\n"
+        new = replace_table(page, "x", "new")
+        assert new == page.replace("old", "new")
+        assert replace_table(new, "x", "new") == new
+
+    @pytest.mark.parametrize("page", ["", "<!-- x -->", "<!-- /x --> <!-- x -->"])
+    def test_no_place(self, page):
+        with pytest.raises(InvalidInputError, match="no part between"):
+            replace_table(page, "x", "new")

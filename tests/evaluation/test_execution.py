@@ -1,0 +1,191 @@
+"""The comparison of what moves the robot is fair, and measures what it says."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from legibility.dataset import DatasetConfig
+from legibility.errors import InvalidInputError
+from legibility.evaluation import execution
+from legibility.evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
+from legibility.modulator import Modulator
+
+SMALL = ExecutionConfig(scenes=3, rollouts=18, seed=1)
+
+
+@pytest.fixture(scope="module")
+def modulator():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield Modulator.from_pretrained("block-reach-2d")
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """What `evaluate_execution` has executed, in the order of the rows."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(modulator, seen):
+    execute = modulator.execute
+
+    def spy(env, **options):
+        gains, positions = env.gains, env.positions.copy()
+        rollouts = execute(env, **options)
+        if options.get("driver") is not None:
+            seen.append((gains, positions, options, rollouts))
+        return rollouts
+
+    modulator.execute = spy
+    try:
+        return evaluate_execution(modulator, SMALL)
+    finally:
+        del modulator.execute
+
+
+class TestFair:
+    def test_all_rows_share_scenes_levels_plans_and_gains(self, found, seen):
+        assert len(seen) == len(ROWS)
+        gains, positions, options, rollouts = seen[0]
+        assert len(np.unique(gains)) == 18
+        for other_gains, other_positions, other_options, other_rollouts in seen[1:]:
+            np.testing.assert_array_equal(gains, other_gains)
+            np.testing.assert_array_equal(positions, other_positions)
+            np.testing.assert_array_equal(options["legibility"], other_options["legibility"])
+            for one, other in zip(rollouts, other_rollouts, strict=True):
+                assert one.path.scene == other.path.scene
+                np.testing.assert_array_equal(one.path.waypoints, other.path.waypoints)
+        errors = [row["error_of_plan"] for row in found["rows"].values()]
+        assert all(error == errors[0] for error in errors)
+
+    def test_scenes_are_of_the_evaluation_stream(self, seen):
+        expected = [DatasetConfig(stream="evaluation", seed=1).scene(i)[0] for i in range(3)]
+        assert list(dict.fromkeys(r.path.scene for r in seen[0][-1])) == expected
+
+    def test_levels_are_all_over_the_dial(self, seen):
+        levels = seen[0][2]["legibility"]
+        assert len(np.unique(levels)) == 18
+        assert np.abs(levels).max() <= 1
+        assert levels.min() < -0.3
+        assert levels.max() > 0.3
+
+    def test_the_open_loop_never_looks(self, found, seen):
+        for name, gain in (("open loop", 1.0), ("open loop, mean gain", 0.75)):
+            rollouts = seen[list(ROWS).index(name)][-1]
+            for rollout in rollouts:
+                assert not rollout.replans
+                if rollout.reason == "stalled":  # the whole path was sent, once
+                    sent = rollout.actions.sum(0) * gain
+                    ends = rollout.path.waypoints[[0, -1]]
+                    np.testing.assert_allclose(sent, ends[1] - ends[0], atol=0.02)
+                    assert not rollout.actions[-1].any()
+
+    def test_who_follows_no_path_in_closed_loop_plans_no_other(self, found):
+        for name, row in ROWS.items():
+            if not row.replan:
+                assert found["rows"][name]["replanned"] == 0
+
+    def test_disturbances_happen(self, found):
+        rows = found["rows"]
+        for name in ("policy, pushed", "policy, goal moved", "feedback, pushed"):
+            assert rows[name]["replanned"] > 0.5
+        assert rows["policy"]["replanned"] <= 0.1
+
+
+class TestMeasuresWhatItSays:
+    def test_structure(self, found):
+        assert list(found["rows"]) == list(ROWS)
+        assert found["at_once"] == 18
+        assert found["threads"] == 1
+        assert found["step_ms"] > 0
+        assert found["rollouts_per_second"] > 1
+        for row in found["rows"].values():
+            assert row["rollouts"] == 18 == sum(row["reasons"].values())
+            low, high = row["success"]["interval"]
+            assert 0 <= low <= row["success"]["mean"] <= high <= 1
+            assert row["success"]["mean"] == row["reasons"].get("reached", 0) / 18
+        assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
+
+    def test_the_path_is_what_makes_the_dial(self, found):
+        rows = found["rows"]
+        assert rows["policy"]["success"]["mean"] == 1
+        assert rows["policy"]["spearman"]["mean"] > 0.9
+        assert rows["policy"]["deviation"]["mean"] < 0.01
+        assert abs(rows["goal only"]["spearman"]["mean"]) < 0.7
+        assert rows["goal only"]["deviation"]["mean"] > 10 * rows["policy"]["deviation"]["mean"]
+        assert rows["open loop"]["success"]["mean"] < 0.2
+        for name in ("open loop", "open loop, mean gain"):
+            assert rows[name]["error"]["mean"] > rows["policy"]["error"]["mean"]
+            assert rows[name]["deviation"]["mean"] > rows["policy"]["deviation"]["mean"]
+
+    def test_nothing_unsafe(self, found):
+        for row in found["rows"].values():
+            for kind in ("states_outside", "actions_not_finite", "actions_over_limit"):
+                assert row[kind] == 0
+
+    def test_a_label_belongs_to_a_scene(self, found):
+        for name, row in found["rows"].items():
+            assert ("error" in row) == ("spearman" in row) == (name != "policy, goal moved")
+
+    def test_deviation_is_over_the_length_of_the_first_path(self, found, seen):
+        rollouts = seen[0][-1]
+        shares = np.array([r.deviation.mean() / r.path.length for r in rollouts])
+        expected = shares.reshape(3, 6).mean(1)
+        assert found["rows"]["policy"]["deviation"]["mean"] == pytest.approx(expected.mean())
+
+    def test_reproducible(self, modulator, found):
+        again = evaluate_execution(modulator, SMALL)
+        assert again["rows"] == found["rows"]
+        other = evaluate_execution(modulator, dataclasses.replace(SMALL, seed=2))
+        assert other["rows"] != found["rows"]
+
+    def test_progress(self, modulator, monkeypatch):
+        monkeypatch.setattr(execution, "_BATCH", 2)
+        counts = []
+        config = ExecutionConfig(scenes=1, rollouts=3)
+        evaluate_execution(modulator, config, progress=lambda *count: counts.append(count))
+        total = 1 + 3 * len(ROWS)
+        assert counts[-1] == (total, total)
+        assert counts == sorted(counts)
+
+
+def test_failures_that_gather_in_a_scene_widen_the_interval():
+    spread, gathered = np.ones((2, 20, 10), dtype=bool)
+    spread[:10, 0] = False
+    gathered[0] = False
+    intervals = [execution._interval(s.ravel(), s.mean(1)) for s in (spread, gathered)]
+    assert intervals[1][0] < intervals[0][0]
+    for low, high in intervals:
+        assert low < 0.95 < high
+    assert execution._interval(np.ones(200, dtype=bool), np.ones(20))[0] < 0.99
+
+
+def test_threads_are_left_as_they_were(modulator):
+    torch.set_num_threads(2)
+    try:
+        scene = DatasetConfig(stream="evaluation", seed=1).scene(0)[0]
+        assert execution.step_milliseconds(modulator, scene, repeats=1) > 0
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"scenes": 0}, {"rollouts": 0}, {"rollouts": 20}, {"rollouts": 6}, {"seed": -1},
+     {"goals": (1, 2)}, {"disturbance": -0.1}, {"disturbance": np.nan}],
+    ids=str,
+)  # fmt: skip
+def test_bad_settings(modulator, wrong):
+    with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+        evaluate_execution(modulator, dataclasses.replace(SMALL, **wrong))
+
+
+def test_a_model_without_stage_2(modulator):
+    with pytest.raises(InvalidInputError, match="no stage 2"):
+        evaluate_execution(Modulator(modulator.path_diffuser), SMALL)
