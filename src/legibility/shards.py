@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
+import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -85,11 +87,18 @@ def make_shards(
     done = len(names) - len(missing)
     progress(done, len(names))
     run = Parallel(n_jobs=workers, return_as="generator_unordered")
-    results = run(delayed(write)(folder / names[i], i) for i in missing)
+    results = run(delayed(_undisturbed)(write, folder / names[i], i) for i in missing)
     for number, _ in enumerate(results, done + 1):  # pyright: ignore
         progress(number, len(names))
     shards = [{"name": n, "sha256": file_hash(folder / n)} for n in names]
     write_json(folder / manifest, {**content, "complete": True, "counts": counts, "shards": shards})
+
+
+def _undisturbed(write: Callable[[Path, int], None], path: Path, number: int) -> None:
+    """Write a shard; in a worker an interrupt from the keyboard is left to the main process."""
+    if multiprocessing.current_process().name != "MainProcess":
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    write(path, number)
 
 
 def read_shards(folder: Path, manifest: str, again: str) -> tuple[dict[str, Any], str, pa.Table]:

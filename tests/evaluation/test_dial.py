@@ -1,6 +1,7 @@
 """The evaluation of the dial tells a perfect dial from none at all."""
 
 import dataclasses
+import functools
 import json
 
 import numpy as np
@@ -11,6 +12,7 @@ import legibility as lg
 from legibility.curves import path_curve
 from legibility.dataset import DatasetConfig, paths_of
 from legibility.errors import InvalidInputError
+from legibility.evaluation import dial
 from legibility.evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
 from legibility.execution import Rollout
 from legibility.intent.metrics import SCORE_POINTS, legibility_score
@@ -24,6 +26,15 @@ SMALL = DialConfig(scenes=3, levels=5, samples=2, candidates=3, seed=1)
 
 EXECUTED = {"success", "deviation"}
 """Figures of executed motions alone."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quickly():
+    """A plan is timed twice, not two hundred times."""
+    with pytest.MonkeyPatch.context() as patch:
+        timed = functools.partial(dial.plan_milliseconds, repeats=2)
+        patch.setattr(dial, "plan_milliseconds", timed)
+        yield
 
 
 class Fake:
@@ -306,8 +317,12 @@ class TestReport:
 class TestClosedLoop:
     """What is measured is the executed motion, whatever was planned."""
 
+    @pytest.fixture(scope="class")
+    def shipped(self):
+        return Modulator.from_pretrained("block-reach-2d")
+
     @pytest.fixture
-    def executed(self, tiny, monkeypatch):
+    def executed(self, shipped, monkeypatch):
         """Figures of motions that follow their paths exactly but for what `change` does to them."""
 
         def measure(change=lambda states: states, success=True):
@@ -316,20 +331,20 @@ class TestClosedLoop:
                 np.testing.assert_array_equal([p.legibility for p in path], legibility)
                 found = []
                 for one in path:
-                    states = change(one.trajectory(60))
+                    states = change(one.trajectory(SCORE_POINTS))
                     off = np.full(len(states) - 1, 0.01)
                     found.append(Rollout(one, states, np.diff(states, axis=0), success,
                                          "reached" if success else "lost", (), off, 0))  # fmt: skip
                 return found
 
-            monkeypatch.setattr(tiny, "execute", execute)
-            return evaluate_dial(tiny, dataclasses.replace(SMALL, closed_loop=True))
+            monkeypatch.setattr(shipped, "execute", execute)
+            return evaluate_dial(shipped, dataclasses.replace(SMALL, closed_loop=True))
 
         seen = measure.seen = []
         return measure
 
-    def test_of_motions_that_follow_their_paths_it_is_the_dial_of_plans(self, executed, found):
-        closed = executed()
+    def test_of_motions_that_follow_their_paths_it_is_the_dial_of_plans(self, executed, shipped):
+        closed, found = executed(), evaluate_dial(shipped, SMALL)
         assert set(closed["overall"]) == set(FIGURES) - {"error_candidates", "drawn_inside"}
         for name in ("spearman", "error", "at_1", "at_0", "at_-1", "length_ratio_at_0"):
             for one, other in zip(closed["scenes"], found["scenes"], strict=True):
@@ -338,31 +353,30 @@ class TestClosedLoop:
         assert json.loads(json.dumps(closed, allow_nan=False)) == closed
 
     def test_motions_that_go_straight_have_no_dial(self, executed):
-        closed = executed(lambda states: np.linspace(states[0], states[-1], 60), success=False)
+        closed = executed(lambda states: np.linspace(*states[[0, -1]], 60), success=False)
         overall = closed["overall"]
         assert overall["spearman"]["mean"] == 0
         assert overall["at_1"]["mean"] == pytest.approx(0, abs=0.02)
         assert overall["length_ratio_at_0"]["mean"] == pytest.approx(1)
         assert overall["success"]["mean"] == 0
 
-    def test_every_motion_has_a_world_of_its_own(self, executed, tiny):
+    def test_every_motion_has_a_world_of_its_own(self, executed, shipped):
         closed = executed()
         for index, (gains, scenes, targets) in enumerate(executed.seen):
             scene, _ = DatasetConfig(stream="evaluation", seed=1).scene(index)
             assert set(scenes) == {scene}
             assert not targets.any()
             assert len(np.unique(gains)) == len(gains) == 10
-            lengths = tiny.plan(scene, 0, np.zeros(2)).length
+            lengths = shipped.plan(scene, 0, np.zeros(2)).length
             assert 0 < closed["scenes"][index]["deviation"] < 0.01 / lengths.min() * 1.2
 
-    def test_the_real_thing(self):
-        modulator = Modulator.from_pretrained("block-reach-2d")
+    def test_the_real_thing(self, shipped):
         config = DialConfig(scenes=2, levels=5, samples=1, seed=1, closed_loop=True)
-        closed = evaluate_dial(modulator, config)
+        closed = evaluate_dial(shipped, config)
         assert closed["overall"]["success"]["min"] == 1
         assert closed["overall"]["spearman"]["min"] > 0.85
         assert closed["overall"]["deviation"]["max"] < 0.02
-        assert evaluate_dial(modulator, config)["scenes"] == closed["scenes"]
+        assert evaluate_dial(shipped, config)["scenes"] == closed["scenes"]
 
 
 @pytest.mark.parametrize(

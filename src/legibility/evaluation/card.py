@@ -194,8 +194,8 @@ SHA-256 over the shards: `{training["digest"]}`."""),
         parts += [
             "\n## Training of stage 2\n",
             _filled(f"""\
-{shown["number"]:,} demonstrations, {shown["demonstrations"]} in each of {demonstrated:,} scenes of the
-same data: a feedback controller follows paths of the archive in BlockReach2D, with noise of
+{shown["number"]:,} demonstrations, {shown["demonstrations"]} in each of {demonstrated:,} scenes
+of the same data: a feedback controller follows paths of the archive in BlockReach2D, with noise of
 {1e3 * shown["noise"]:g} mm a step and, in {shown["pushed"]:.0%}, a push of
 {1e2 * shown["push"]:g} cm. SHA-256 over the shards: `{policy["digest"]}`."""),
             "",
