@@ -314,12 +314,13 @@ class TestReport:
             torch.set_num_threads(before)
 
 
+@pytest.fixture(scope="module")
+def shipped():
+    return Modulator.from_pretrained("block-reach-2d")
+
+
 class TestClosedLoop:
     """What is measured is the executed motion, whatever was planned."""
-
-    @pytest.fixture(scope="class")
-    def shipped(self):
-        return Modulator.from_pretrained("block-reach-2d")
 
     @pytest.fixture
     def executed(self, shipped, monkeypatch):

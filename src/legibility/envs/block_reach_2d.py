@@ -2,333 +2,66 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ..checks import Array, bounded, count, finite_array, random_seed, target_index
-from ..errors import InvalidInputError, InvalidSceneError
-from ..scene import DEFAULT_WORKSPACE, Scene
-from . import MAX_EPISODE_STEPS
+from ..checks import Array, bounded
+from .block_reach import BlockReach, BlockReachVector
 
 __all__ = ["BlockReach2D", "BlockReach2DVector"]
 
-_OPTIONS = ("scene", "target", "num_goals", "noise", "push", "shift", "gain", "lag")
-_STEPS_PER_SECOND = 20
-_RADIUS = 0.02
-_SLOW = 0.01
 
+class BlockReach2DVector(BlockReachVector):
+    """Many `BlockReach2D` at once; see there, and `BlockReachVector` for how they are stepped."""
 
-class BlockReach2DVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
-    """Many `BlockReach2D` at once, stepped together; see there for what it is.
-
-    Environment i of a reset with seed s is `BlockReach2D` reset with seed s + i. An environment
-    that has ended stands still, and stays ended, until it is reset (`AutoresetMode.DISABLED`); the
-    option `reset_mask (B,)` bool of `reset` chooses which are reset. Seed and options may be given
-    as one for all or as a list of one for each environment.
-
-    Attributes:
-        positions: `(B, 2)` [m].
-        velocities: `(B, 2)` [m], the displacements of the last step, a push left out.
-        scenes: the scenes as they are now; their start is where the episode started.
-        targets: `(B,)`, index of the goal that is meant.
-        done: `(B,)` bool, ended by success or by the limit on steps.
-        success: `(B,)` bool, ended by success.
-    """
-
-    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's own form)
-        "render_modes": ["rgb_array"],
-        "render_fps": _STEPS_PER_SECOND,
-        "autoreset_mode": AutoresetMode.DISABLED,
-    }
+    dim = 2
     max_displacement = 0.05
     gain_range = (0.65, 0.85)
     lag_range = (0.0, 0.3)
+    robot_options = ("gain", "lag")
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        max_goals: int = 6,
-        max_episode_steps: int = MAX_EPISODE_STEPS,
-        render_mode: str | None = None,
-    ) -> None:
-        self.num_envs = count("num_envs", num_envs)
-        self.max_goals = count("max_goals", max_goals, low=2)
-        self.max_episode_steps = count("max_episode_steps", max_episode_steps)
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InvalidInputError(
-                f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}"
-            )
-        self.render_mode = render_mode
-        self.workspace = np.array(DEFAULT_WORKSPACE[2])
-        low, high = self.workspace
-        self.single_observation_space = spaces.Dict({
-            "position": spaces.Box(low, high, dtype=np.float64),
-            "goals": spaces.Box(
-                np.tile(low, (max_goals, 1)), np.tile(high, (max_goals, 1)), dtype=np.float64
-            ),
-            "present": spaces.MultiBinary(max_goals),
-            "target": spaces.Discrete(max_goals),
-        })  # fmt: skip
-        reach = self.max_displacement
-        self.single_action_space = spaces.Box(-reach, reach, (2,), dtype=np.float64)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-
-        self._rngs = [np.random.default_rng() for _ in range(num_envs)]
-        self.scenes: list[Scene] = []
-        self.targets = np.zeros(num_envs, dtype=np.int64)
-        self.positions, self.velocities = np.zeros((2, num_envs, 2))
-        self.done, self.success, self._due = np.zeros((3, num_envs), dtype=bool)
-        self._gain, self._lag, self._noise = np.zeros((3, num_envs, 1))
-        self._push, self._shift, self._starts = np.zeros((3, num_envs, 2))
-        self._travelled, self._steps = np.zeros((2, num_envs))
-
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start new episodes; see the class for the options.
-
-        Raises:
-            InvalidInputError: an option is unknown or out of its range.
-            InvalidSceneError: a scene that does not fit this environment.
-        """
-        options = _mapping(options)
-        mask = options.pop("reset_mask", None)
-        mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
-        if mask.dtype != bool or mask.shape != (self.num_envs,):
-            raise InvalidInputError(
-                f"reset_mask must be {self.num_envs} booleans, "
-                f"got {mask.dtype} of shape {mask.shape}"
-            )
-        if not self.scenes and not mask.all():
-            raise InvalidInputError("reset_mask must choose all in the first reset")
-        if isinstance(seed, int | np.integer):
-            seed = [random_seed("seed", seed) + i for i in range(self.num_envs)]
-        return self._reset(mask, self._each("seed", seed), options)
-
-    def _reset(
-        self, mask: NDArray[Any], seeds: Sequence[Any], options: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        self._check_open()
-        unknown = set(options) - set(_OPTIONS)
-        if unknown:
-            raise InvalidInputError(
-                f"options of reset are {', '.join(_OPTIONS)}; unknown: {sorted(map(str, unknown))}"
-            )
-        # All episodes are drawn before any is changed, so that a bad option changes nothing.
-        each = {name: self._each(name, value) for name, value in options.items()}
-        drawn = {}
-        for i in np.flatnonzero(mask).tolist():
-            rng = (
-                copy.deepcopy(self._rngs[i])
-                if seeds[i] is None
-                else np.random.default_rng(random_seed("seed", seeds[i]))
-            )
-            drawn[i] = rng, self._draw(rng, {name: values[i] for name, values in each.items()})
-        scenes = dict(enumerate(self.scenes))
-        for i, (rng, episode) in drawn.items():
-            self._rngs[i] = rng
-            scenes[i] = episode["scene"]
-            for name in ("_gain", "_lag", "_noise", "_push", "_shift", "targets"):
-                getattr(self, name)[i] = episode[name.lstrip("_")]
-            self.positions[i] = self._starts[i] = episode["scene"].start
-        self.scenes = [scenes[i] for i in range(self.num_envs)]
-        self.velocities[mask] = 0
-        self._travelled[mask] = self._steps[mask] = 0
-        self.done[mask] = self.success[mask] = False
-        self._due[mask] = (self._push[mask] != 0).any(-1) | (self._shift[mask] != 0).any(-1)
-        self._goals = np.stack([self._padded(scene) for scene in self.scenes])
-        self._present = np.arange(self.max_goals) < [[s.num_goals] for s in self.scenes]
-        wall, disturbed = np.zeros((2, self.num_envs), dtype=bool)
-        return self._observation(), self._info(wall, disturbed)
-
-    def step(
-        self, actions: Array
-    ) -> tuple[dict[str, Any], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Command the displacements `actions (B, 2)` [m]; they are cut off at the limits.
-
-        Raises:
-            InvalidInputError: they are not finite or not of this shape.
-        """
-        self._check_ready()
-        actions = finite_array("actions", actions)
-        if actions.shape != (self.num_envs, 2):
-            raise InvalidInputError(
-                f"actions must have shape ({self.num_envs}, 2), got {actions.shape}"
-            )
-        reach, (low, high) = self.max_displacement, self.workspace
-        alive = ~self.done[:, None]
-        command = np.clip(actions, -reach, reach)
-        moved = (1 - self._lag) * self._gain * command + self._lag * self.velocities
-        wanted = self.positions + moved
-        wall = alive[:, 0] & ((wanted < low - 1e-12) | (wanted > high + 1e-12)).any(-1)
-        for i in np.flatnonzero(self._noise[:, 0] * alive[:, 0]):
-            wanted[i] += self._noise[i] * self._rngs[i].standard_normal(2)
-        reached = np.where(alive, np.clip(wanted, low, high), self.positions)
-        self.velocities = reached - self.positions
-        self._travelled += np.linalg.norm(self.velocities, axis=-1)
-        disturbed = self._disturbed() & alive[:, 0]
-        self.positions = np.where(
-            disturbed[:, None], np.clip(reached + self._push, low, high), reached
-        )
-        for i in np.flatnonzero(disturbed & (self._shift != 0).any(-1)).tolist():
-            self._move_target(i)
-        self._due &= ~disturbed
-
-        self._steps += alive[:, 0]
-        slow = np.linalg.norm(self.velocities, axis=-1) <= _SLOW
-        distance = self._distance()
-        self.success |= alive[:, 0] & (distance <= _RADIUS) & slow & ~disturbed
-        self.done |= self.success | (self._steps >= self.max_episode_steps)
-        reward = np.where(alive[:, 0], -distance, 0.0)
-        success, truncated = self.success.copy(), self.done & ~self.success
-        return self._observation(), reward, success, truncated, self._info(wall, disturbed)
-
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore
-        """A picture `(H, W, 3)` of each environment."""
-        if self.render_mode is None:
-            return None
-        self._check_ready()
-        from .render import draw_scene
-
-        return tuple(
-            draw_scene(scene, int(target), position)
-            for scene, target, position in zip(
-                self.scenes, self.targets, self.positions, strict=True
-            )
-        )
-
-    def set_target(self, index: int, target: int) -> None:
-        """Mean another goal in environment `index` from now on."""
-        self._check_ready()
-        if count("index", index, low=0) >= self.num_envs:
-            raise InvalidInputError(f"index must be at most {self.num_envs - 1}, got {index}")
-        self.targets[index] = target_index(target, self.scenes[index].num_goals)
+    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+        super().__init__(num_envs, **settings)
+        self._gain, self._lag = np.zeros((2, num_envs, 1))
 
     @property
     def gains(self) -> Array:
         """`(B,)`, the hidden share of a command that is realised in the end; for analyses."""
         return self._gain[:, 0].copy()
 
-    def _each(self, name: str, value: Any) -> list[Any]:
-        """A value for each environment, of one for all or a list of them."""
-        if not (isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)):
-            return [value] * self.num_envs
-        if len(value) != self.num_envs:
-            raise InvalidInputError(
-                f"{name} must be one for all or {self.num_envs}, got {len(value)}"
-            )
-        return list(value)
-
-    def _draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> dict[str, Any]:
-        """What an episode is made of; its gain, lag and directions are drawn whatever it fixes."""
+    def _draw_robot(self, rng: np.random.Generator, options: Mapping[str, Any]) -> dict[str, Any]:
         gain, lag = rng.uniform(*self.gain_range), rng.uniform(*self.lag_range)
-        angles = rng.uniform(0, 2 * np.pi, 2)
-        directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        num_goals, scene = options.get("num_goals"), options.get("scene")
-        target = options.get("target", 0)
-        if num_goals is not None:
-            num_goals = count("num_goals", num_goals, low=2)
-            if num_goals > self.max_goals:
-                raise InvalidInputError(
-                    f"num_goals must be at most {self.max_goals}, got {num_goals}"
-                )
-        if scene is None:
-            if num_goals is None:
-                num_goals = int(rng.integers(2, min(6, self.max_goals) + 1))
-            scene = Scene.random(rng, dim=2, num_goals=num_goals, target=target)
-        self._check_scene(scene)
         return {
-            "scene": scene,
-            "targets": target_index(target, scene.num_goals),
             "gain": bounded("gain", options.get("gain", gain), 0, 1),
             "lag": bounded("lag", options.get("lag", lag), 0, self.lag_range[1]),
-            "noise": bounded("noise", options.get("noise", 0.0), 0, self.max_displacement),
-            "push": bounded("push", options.get("push", 0.0), 0) * directions[0],
-            "shift": bounded("shift", options.get("shift", 0.0), 0) * directions[1],
         }
 
-    def _check_scene(self, scene: Any) -> None:
-        if not isinstance(scene, Scene):
-            raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
-        if scene.dim != 2:
-            raise InvalidSceneError(f"scene must be 2-D here, got {scene.dim}-D")
-        if scene.num_goals > self.max_goals:
-            raise InvalidSceneError(
-                f"scene must have at most {self.max_goals} goals, got {scene.num_goals}"
-            )
-        if not np.array_equal(scene.workspace, self.workspace):
-            raise InvalidSceneError(
-                f"the scene's workspace must be {self.workspace.tolist()}, "
-                f"got {scene.workspace.tolist()}"
-            )
+    def _begin(self, index: int, robot: dict[str, Any]) -> None:
+        self._gain[index], self._lag[index] = robot["gain"], robot["lag"]
 
-    def _disturbed(self) -> NDArray[Any]:
-        """Where a push or a shift falls due: half the straight line's length is travelled."""
-        if not self._due.any():
-            return self._due.copy()
-        straight = self._goals[np.arange(self.num_envs), self.targets] - self._starts
-        return self._due & (self._travelled >= np.linalg.norm(straight, axis=-1) / 2)
+    def _place(self, index: int, position: Array) -> Array:
+        return position
 
-    def _move_target(self, index: int) -> None:
-        scene, target = self.scenes[index], self.targets[index]
-        goals = scene.goals.copy()
-        goals[target] = np.clip(goals[target] + self._shift[index], *self.workspace)
-        try:
-            self.scenes[index] = Scene(scene.start, goals, scene.workspace)
-        except InvalidSceneError:  # another block is in just that corner: it stays
-            return
-        self._goals[index] = self._padded(self.scenes[index])
+    def _move(
+        self, command: Array, noise: Array, alive: NDArray[Any]
+    ) -> tuple[Array, NDArray[Any]]:
+        low, high = self.workspace
+        moved = (1 - self._lag) * self._gain * command + self._lag * self.velocities
+        wanted = self.positions + moved
+        wall = alive & ((wanted < low - 1e-12) | (wanted > high + 1e-12)).any(-1)
+        reached = np.where(alive[:, None], np.clip(wanted + noise, low, high), self.positions)
+        return reached, wall
 
-    def _padded(self, scene: Scene) -> Array:
-        goals = np.zeros((self.max_goals, 2))
-        goals[: scene.num_goals] = scene.goals
-        return goals
+    def _picture(self, index: int) -> NDArray[np.uint8]:
+        from .render import draw_scene
 
-    def _distance(self) -> Array:
-        target = self._goals[np.arange(self.num_envs), self.targets]
-        return np.linalg.norm(self.positions - target, axis=-1)
-
-    def _observation(self) -> dict[str, Any]:
-        return {
-            "position": self.positions.copy(),
-            "goals": self._goals.copy(),
-            "present": self._present.astype(np.int8),
-            "target": self.targets.copy(),
-        }
-
-    def _info(self, wall: NDArray[Any], disturbed: NDArray[Any]) -> dict[str, Any]:
-        return {
-            "is_success": self.success.copy(),
-            "distance": self._distance(),
-            "speed": np.linalg.norm(self.velocities, axis=-1) * _STEPS_PER_SECOND,
-            "wall_contact": wall,
-            "disturbed": disturbed,
-        }
-
-    def _check_open(self) -> None:
-        if self.closed:
-            raise InvalidInputError("the environment is closed; make a new one")
-
-    def _check_ready(self) -> None:
-        self._check_open()
-        if not self.scenes:
-            raise gymnasium.error.ResetNeeded("reset the environment before anything else")
+        return draw_scene(self.scenes[index], int(self.targets[index]), self.positions[index])
 
 
-class BlockReach2D(gymnasium.Env[dict[str, Any], Array]):
+class BlockReach2D(BlockReach):
     """A point end effector moves in the plane toward one of several coloured blocks.
 
     ## Description
@@ -379,77 +112,4 @@ class BlockReach2D(gymnasium.Env[dict[str, Any], Array]):
     * `gain`, `lag`: γ and λ, to fix what is otherwise drawn.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's own form)
-        "render_modes": ["human", "rgb_array"],
-        "render_fps": _STEPS_PER_SECOND,
-    }
-
-    def __init__(self, *, max_goals: int = 6, render_mode: str | None = None) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InvalidInputError(
-                f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}"
-            )
-        # The limit on steps is Gymnasium's wrapper's.
-        self.batch = BlockReach2DVector(1, max_goals=max_goals, max_episode_steps=2**31)
-        self.observation_space = self.batch.single_observation_space
-        self.action_space = self.batch.single_action_space
-        self.render_mode = render_mode
-        self._window: Any = None
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start a new episode; see the class for the options."""
-        seed = None if seed is None else random_seed("seed", seed)
-        observation, info = self.batch._reset(np.ones(1, dtype=bool), [seed], _mapping(options))
-        super().reset(seed=seed)
-        if self.render_mode == "human":
-            self.render()
-        return _first(observation), _first(info)
-
-    def step(self, action: Array) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Command the displacement `action (2,)` [m]."""
-        observation, reward, success, _, info = self.batch.step(
-            finite_array("action", action, ndim=1, last=2)[None]
-        )
-        if self.render_mode == "human":
-            self.render()
-        return _first(observation), float(reward[0]), bool(success[0]), False, _first(info)
-
-    def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore
-        """A picture `(H, W, 3)`, or a window that shows it."""
-        if self.render_mode is None:
-            return None
-        self.batch._check_ready()
-        from .render import Window, draw_scene
-
-        image = draw_scene(
-            self.batch.scenes[0], int(self.batch.targets[0]), self.batch.positions[0]
-        )
-        if self.render_mode == "rgb_array":
-            return image
-        if self._window is None:
-            self._window = Window(image, 1 / _STEPS_PER_SECOND)
-        self._window.show(image)
-        return None
-
-    def close(self) -> None:
-        """Close the window, if there is one; a closed environment refuses to go on."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
-        self.batch.close()
-
-
-def _mapping(options: Any) -> dict[str, Any]:
-    if options is not None and not isinstance(options, Mapping):
-        raise InvalidInputError(f"options must be a mapping, got {type(options).__name__}")
-    return dict(options or {})
-
-
-def _first(values: dict[str, Any]) -> dict[str, Any]:
-    """The only row of a batch."""
-    return {
-        name: value[0] if isinstance(value[0], np.ndarray) else value[0].item()
-        for name, value in values.items()
-    }
+    batch_type = BlockReach2DVector

@@ -1,0 +1,64 @@
+"""What the Franka Panda is in both simulators: its limits, its task space, what is counted."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import Array
+from .block_reach import BlockReachVector
+
+__all__ = ["HOME", "JOINT_LIMITS", "VELOCITY_LIMITS", "ArmVector"]
+
+JOINT_LIMITS = np.array([
+    [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
+    [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
+])  # fmt: skip
+"""Least and greatest angle of each joint, `(2, 7)` [rad] (Franka's documentation)."""
+
+VELOCITY_LIMITS = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
+"""Greatest speed of each joint, `(7,)` [rad/s] (Franka's documentation)."""
+
+HOME = np.array([0.0, 0.41, 0.0, -1.85, 0.0, 2.26, 0.79])
+"""Angles `(7,)` [rad] from which postures are found: the gripper down over the table."""
+
+BASE = np.array([-0.6, 0.0, 0.0])
+"""Where the arm stands on the table [m]."""
+
+
+class ArmVector(BlockReachVector):
+    """Many arms at once, a simulation each. A subclass moves one: `_place` and `_drive`.
+
+    The position is that of the grasp point between the fingertips; the gripper points down.
+    """
+
+    metadata = {**BlockReachVector.metadata, "render_fps": 25}  # noqa: RUF012
+    dim = 3
+    max_displacement = 0.02
+    lag_range = (0.0, 0.3)
+    counted = (
+        "table_contacts", "self_collisions", "joint_limit_violations", "velocity_limit_violations",
+    )  # fmt: skip
+    overshoot = 0.05
+    substeps: ClassVar[int] = 20
+    """Steps of the physics in a control step: 2 ms each."""
+
+    @abstractmethod
+    def _drive(self, index: int, target: Array) -> Array:
+        """Arm `index` is told to go to `target (D,)` [m]; where it is after the control step.
+
+        Adds to `counts` the physics steps of this control step in which each occurred.
+        """
+
+    def _move(self, command: Array, noise: Array, alive: NDArray) -> tuple[Array, NDArray]:
+        low, high = self.workspace
+        wanted = self.positions + command
+        wall = alive & ((wanted < low - 1e-9) | (wanted > high + 1e-9)).any(-1)
+        targets = np.clip(wanted + noise, low, high)
+        reached = self.positions.copy()
+        for i in np.flatnonzero(alive).tolist():
+            reached[i] = self._drive(i, targets[i])
+        return reached, wall
