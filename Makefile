@@ -10,7 +10,7 @@ STAMP := $(VENV)/.installed
 
 # What `make weights` and `make evaluate` use; each can be set on the command line. Evaluations are
 # reported on seed 1: scenes of seed 0 were looked at while the sampler was made.
-MODEL ?= block-reach-2d
+MODELS ?= block-reach-2d panda-block-reach
 SCENES ?= 12800
 STEPS ?= 12000
 DEMONSTRATIONS ?= 4
@@ -18,21 +18,28 @@ DEMONSTRATED ?= 3200
 POLICY_STEPS ?= 8000
 SEED ?= 0
 WORKERS ?= 2
-DATA ?= runs/$(MODEL)/data
-RUN ?= runs/$(MODEL)
-EVALUATION_SCENES ?= 200
-EVALUATION_GOALS ?= 2..6
+RUNS ?= runs
 EVALUATION_SEED ?= 1
-ROLLOUTS ?= 5000
 RESULTS ?= results
 PYTEST_ARGS ?=
+
+# Of each model: its dimension and what is evaluated.
+DIM_block-reach-2d := 2
+DIM_panda-block-reach := 3
+GOALS_block-reach-2d := 2..6
+GOALS_panda-block-reach := 2..4
+CLOSED_LOOP_block-reach-2d := --scenes 200
+CLOSED_LOOP_panda-block-reach := --scenes 100 --levels 11 --samples 2
+EXECUTION_block-reach-2d := --scenes 200 --rollouts 5000
+EXECUTION_panda-block-reach := --scenes 50 --rollouts 500
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # pyright: do not ask the network for a newer version.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv install demo test lint format weights evaluate clean distclean
+.PHONY: help venv install demo test lint format weights evaluate clean distclean \
+	$(MODELS:%=weights-%) $(MODELS:%=evaluate-%) $(MODELS:%=more-%)
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -41,11 +48,16 @@ venv: $(BIN)/python ## make $(VENV) if it is missing (PYTHON=python3.12 chooses 
 
 install: $(STAMP) ## install the package and its tested dependencies into $(VENV)
 
-demo: $(STAMP) ## plan and execute the paper's 2-D scene at nine levels on the shipped weights
+demo: $(STAMP) ## plan and execute a scene on the shipped weights (ARM=1: the Panda instead)
+ifdef ARM
+	$(LEGIBILITY) execute examples/panda.yaml --target 0 --legibility -1:1:5 \
+		--spectrum out/arm.png --video out/arm.gif --json out/arm.json
+else
 	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 \
 		--figure out/plan.png --json out/plan.json
 	$(LEGIBILITY) execute examples/paper.yaml --target 0 --legibility -1:1:9 \
 		--figure out/demo.png --video out/demo.gif --json out/demo.json
+endif
 
 test: lint ## lint, then every test
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -63,30 +75,45 @@ format: $(STAMP) ## let ruff repair what it can
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-weights: $(STAMP) ## make the shipped weights from nothing: data, then training
-	$(LEGIBILITY) data --dim 2 --scenes $(SCENES) --seed $(SEED) --workers $(WORKERS) \
-		--demonstrations $(DEMONSTRATIONS) --demonstrated $(DEMONSTRATED) --out $(DATA)
-	$(LEGIBILITY) train path --data $(DATA) --out $(RUN)/path --steps $(STEPS) --seed $(SEED) \
-		--workers $(WORKERS) --weights src/legibility/weights/$(MODEL)
-	$(LEGIBILITY) train policy --data $(DATA) --out $(RUN)/policy --steps $(POLICY_STEPS) \
-		--seed $(SEED) --validation $(RUN)/path/validation --weights src/legibility/weights/$(MODEL)
+weights: $(MODELS:%=weights-%) ## make the shipped weights from nothing, then measure them
 	$(MAKE) evaluate
 
-evaluate: $(STAMP) ## measure the shipped weights on scenes never seen; tables, figures, model card
-	$(LEGIBILITY) evaluate dial --model $(MODEL) --scenes $(EVALUATION_SCENES) \
-		--goals $(EVALUATION_GOALS) --seed $(EVALUATION_SEED) --json $(RESULTS)/dial-$(MODEL).json
-	$(LEGIBILITY) evaluate dial --model $(MODEL) --scenes $(EVALUATION_SCENES) \
-		--goals $(EVALUATION_GOALS) --seed $(EVALUATION_SEED) --closed-loop \
-		--json $(RESULTS)/closed-loop-$(MODEL).json
-	$(LEGIBILITY) evaluate execution --model $(MODEL) --scenes $(EVALUATION_SCENES) \
-		--goals $(EVALUATION_GOALS) --seed $(EVALUATION_SEED) --rollouts $(ROLLOUTS) \
-		--json $(RESULTS)/execution-$(MODEL).json
-	$(LEGIBILITY) plan examples/paper.yaml --model $(MODEL) --target 0 --legibility -1:1:9 \
+$(MODELS:%=weights-%): weights-%: $(STAMP)
+	$(LEGIBILITY) data --dim $(DIM_$*) --scenes $(SCENES) --seed $(SEED) --workers $(WORKERS) \
+		--demonstrations $(DEMONSTRATIONS) --demonstrated $(DEMONSTRATED) --out $(RUNS)/$*/data
+	$(LEGIBILITY) train path --data $(RUNS)/$*/data --out $(RUNS)/$*/path --steps $(STEPS) \
+		--seed $(SEED) --workers $(WORKERS) --weights src/legibility/weights/$*
+	$(LEGIBILITY) train policy --data $(RUNS)/$*/data --out $(RUNS)/$*/policy \
+		--steps $(POLICY_STEPS) --seed $(SEED) --validation $(RUNS)/$*/path/validation \
+		--weights src/legibility/weights/$*
+
+evaluate: $(MODELS:%=evaluate-%) ## measure the shipped weights on scenes never seen; tables, pictures
+	$(LEGIBILITY) report $(RESULTS) --readme README.md --weights src/legibility/weights
+
+$(MODELS:%=evaluate-%): evaluate-%: $(STAMP)
+	$(LEGIBILITY) evaluate dial --model $* --scenes 200 --goals $(GOALS_$*) \
+		--seed $(EVALUATION_SEED) --json $(RESULTS)/dial-$*.json
+	$(LEGIBILITY) evaluate dial --model $* $(CLOSED_LOOP_$*) --goals $(GOALS_$*) \
+		--seed $(EVALUATION_SEED) --closed-loop --json $(RESULTS)/closed-loop-$*.json
+	$(LEGIBILITY) evaluate execution --model $* $(EXECUTION_$*) --goals $(GOALS_$*) \
+		--seed $(EVALUATION_SEED) --json $(RESULTS)/execution-$*.json
+	$(MAKE) more-$*
+
+more-block-reach-2d: $(STAMP)
+	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 \
 		--figure $(RESULTS)/paper-scene.png --json $(RESULTS)/paper-scene.json
-	$(LEGIBILITY) execute examples/paper.yaml --model $(MODEL) --target 0 --legibility -1:1:5 \
+	$(LEGIBILITY) execute examples/paper.yaml --target 0 --legibility -1:1:5 \
 		--figure $(RESULTS)/execution.png --video $(RESULTS)/execution.gif \
 		--json $(RESULTS)/paper-scene-executed.json
-	$(LEGIBILITY) report $(RESULTS) --readme README.md --weights src/legibility/weights
+
+# The second simulator is one that the arm was not trained in; it needs Python 3.11.
+more-panda-block-reach: $(STAMP)
+	$(LEGIBILITY) evaluate execution --model panda-block-reach $(EXECUTION_panda-block-reach) \
+		--goals $(GOALS_panda-block-reach) --seed $(EVALUATION_SEED) --env pandagym \
+		--json $(RESULTS)/transfer-panda-block-reach.json
+	$(LEGIBILITY) execute examples/panda.yaml --target 0 --legibility -1:1:5 \
+		--spectrum $(RESULTS)/panda-scene.png --video $(RESULTS)/panda-scene.gif \
+		--json $(RESULTS)/panda-scene.json
 
 clean: ## remove caches and build products
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis

@@ -5,7 +5,7 @@ They lie beside the dataset that they are of, under the same rules, a row a demo
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from .checks import Array, bounded, count
 from .curves import NUM_WAYPOINTS
 from .dataset import Dataset, DatasetConfig
-from .envs.block_reach_2d import BlockReach2DVector
+from .envs import vector_type
 from .envs.guard import safe_actions
 from .errors import DatasetError, InvalidInputError
 from .motion.tracking import PathTracker, feedback_action
@@ -28,6 +28,8 @@ __all__ = ["DEMONSTRATIONS", "Demonstrations", "DemonstrationsConfig", "demonstr
 DEMONSTRATIONS = "demonstrations.json"
 """File name of the manifest, beside that of the dataset."""
 
+_NOISE, _PUSH = 0.06, 2.0
+
 
 @dataclass(frozen=True)
 class DemonstrationsConfig:
@@ -37,23 +39,30 @@ class DemonstrationsConfig:
         demonstrations: how many of each scene; 0 makes none.
         demonstrated: of how many scenes of the dataset, the first ones; 0 means all.
         noise: standard deviation of each step's displacement [m], so that states beside the path
-            are seen, and how to get back.
+            are seen, and how to get back; 6 % of the largest if not given.
         pushed: share of the demonstrations with one push.
-        push: how far the robot is pushed [m].
+        push: how far the robot is pushed [m]; twice the largest displacement of a step if not
+            given.
     """
 
     demonstrations: int = 0
     demonstrated: int = 0
-    noise: float = 0.003
+    noise: float | None = None
     pushed: float = 0.25
-    push: float = 0.1
+    push: float | None = None
 
     def __post_init__(self) -> None:
         count("demonstrations", self.demonstrations, low=0)
         count("demonstrated", self.demonstrated, low=0)
-        bounded("noise", self.noise, 0)
         bounded("pushed", self.pushed, 0, 1)
-        bounded("push", self.push, 0)
+        for name in ("noise", "push"):
+            if getattr(self, name) is not None:
+                bounded(name, getattr(self, name), 0)
+
+    def within(self, limit: float) -> DemonstrationsConfig:
+        """The same with what is not given set for a largest displacement of `limit` [m]."""
+        noise = _NOISE * limit if self.noise is None else self.noise
+        return replace(self, noise=noise, push=_PUSH * limit if self.push is None else self.push)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +148,6 @@ def demonstrate(
     folder = Path(folder)
     dataset, digest, _ = read_shards(folder, "manifest.json", "legibility data")
     source = DatasetConfig.from_dict(dataset)
-    if source.dim != 2:
-        raise InvalidInputError(f"there is no environment to demonstrate in for {source.dim}-D yet")
     count("demonstrations", config.demonstrations)
     if config.demonstrations > source.per_scene:
         raise InvalidInputError(
@@ -153,7 +160,8 @@ def demonstrate(
             f"got {config.demonstrated}"
         )
     scenes = config.demonstrated or source.scenes
-    env = BlockReach2DVector(1)
+    env = vector_type(None, source.dim)(1)
+    config = config.within(env.max_displacement)
     content = {
         **asdict(config),
         "dataset": source.to_dict(),
@@ -223,12 +231,9 @@ def _roll(
     seeds: list[int],
 ) -> tuple[list[Array], list[Array], np.ndarray]:
     """States and actions of the controller on `paths`, and whether it reached the goal."""
-    env = BlockReach2DVector(len(paths))
-    options = {
-        "scene": scenes,
-        "noise": [config.noise] * len(paths),
-        "push": (config.push * pushed).tolist(),
-    }
+    env = vector_type(None, scenes[0].dim)(len(paths))
+    assert config.push is not None
+    options = {"scene": scenes, "noise": config.noise, "push": (config.push * pushed).tolist()}
     observation, _ = env.reset(seed=seeds, options=options)
     tracker = PathTracker(paths, env.max_displacement, env.workspace)
     positions = previous = observation["position"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -40,7 +40,9 @@ class Rollout:
             the path) or `time` (the environment's limit on steps).
         replans: at which steps a new path was planned.
         deviation: `(T,)` [m], distance from the path that was followed at the time.
+        step_seconds: time of a control step [s].
         wall_contacts: steps in which the motion would have left the workspace.
+        counts: what else the environment counted, by name: contacts and violations of an arm.
     """
 
     path: Path
@@ -50,7 +52,9 @@ class Rollout:
     reason: str
     replans: tuple[int, ...]
     deviation: Array
+    step_seconds: float
     wall_contacts: int
+    counts: dict[str, int] = field(default_factory=dict)
 
     @property
     def legibility(self) -> float:
@@ -86,6 +90,8 @@ class Fleet:
         limit: largest displacement of an action along each axis [m].
         lag: largest lag that the actuators may have.
         workspace: `(2, D)` [m].
+        counted: names of what the environment counts over an episode.
+        step_seconds: time of a control step [s].
     """
 
     def __init__(self, env: Any, seed: int) -> None:
@@ -104,7 +110,8 @@ class Fleet:
         self._single = not hasattr(inner, "num_envs")
         first = self._parts[0]
         self.limit, self.lag = first.max_displacement, first.lag_range[1]
-        self.workspace = first.workspace
+        self.workspace, self.counted = first.workspace, first.counted
+        self.step_seconds = 1 / first.metadata["render_fps"]
         if any(not part.scenes for part in self._parts):
             env.reset(seed=seed)
         if self._gather("done").any():
@@ -268,6 +275,7 @@ def follow(
             f"got {paths[worst].waypoints[0].tolist()}"
         )
     states, actions, deviations, contacts = [positions], [], [], np.zeros(size, dtype=int)
+    counts = {name: np.zeros(size, dtype=int) for name in fleet.counted}
     steps = np.zeros(size, dtype=int)
     reasons = np.full(size, "", dtype=object)
     replans: list[list[int]] = [[] for _ in range(size)]
@@ -297,6 +305,8 @@ def follow(
         actions.append(sent)
         deviations.append(off)
         contacts += active & np.asarray(info["wall_contact"])
+        for name, number in counts.items():
+            number[active] = info[name][active]
         steps += active
 
         left = tracker.remaining + off
@@ -337,7 +347,9 @@ def follow(
             reason=str(reasons[i]),
             replans=tuple(replans[i]),
             deviation=off[i, : steps[i]],
+            step_seconds=fleet.step_seconds,
             wall_contacts=int(contacts[i]),
+            counts={name: int(number[i]) for name, number in counts.items()},
         )
         for i in range(size)
     ]

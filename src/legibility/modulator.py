@@ -43,6 +43,7 @@ _ATTEMPTS = 3
 _LESS = 0.03
 _CLEARLY = 0.05
 _LEAST_COST = 1e-12
+_AT_START = 1e-4
 
 _STAGES: dict[str, Any] = {
     "path": (PathDiffuserConfig, PathDiffuser),
@@ -499,10 +500,13 @@ def _load_stage(folder: FilePath, name: str, entry: dict[str, Any]) -> Any:
 
 
 def _moved(scene: Scene, start: Array) -> Scene:
-    """The scene as it is for a robot that now stands at `start (D,)` [m]."""
-    if np.array_equal(start, scene.start):
+    """The scene as it is for a robot that now stands at `start (D,)` [m].
+
+    An arm is put at a scene's start as exactly as its joints go, and may be a little beyond a wall.
+    """
+    if np.linalg.norm(start - scene.start) < _AT_START:
         return scene
-    return Scene(start, scene.goals, scene.workspace)
+    return Scene(np.clip(start, *scene.workspace), scene.goals, scene.workspace)
 
 
 def _or_straight(path: Path) -> Path:

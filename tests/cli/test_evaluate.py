@@ -37,7 +37,8 @@ def test_execution(here, one_thread, cli, capsys):
     text = capsys.readouterr().out
     content = json.loads(Path("e.json").read_text())
     assert content["config"] == {
-        "scenes": 1, "goals": [2, 3], "seed": 1, "rollouts": 3, "disturbance": 0.1
+        "scenes": 1, "goals": [2, 3], "seed": 1, "rollouts": 3, "disturbance": None,
+        "env": None,
     }  # fmt: skip
     for name, row in content["result"]["rows"].items():
         assert name in text

@@ -29,7 +29,8 @@ def dial(closed_loop=False):
     return {
         "command": "legibility evaluate dial --scenes 3", "seed": 7, "model": MODEL,
         "config": {"goals": [2, 6], "samples": 8, "candidates": 16, "closed_loop": closed_loop},
-        "result": {"overall": {name: figure(0.5 + i / 100) for i, name in enumerate(names)},
+        "result": {**({"env": "BlockReach2D"} if closed_loop else {}),
+                   "overall": {name: figure(0.5 + i / 100) for i, name in enumerate(names)},
                    "levels": [-1, 0, 1], "plan_ms": 7.25, "scenes": [{}, {}, {}]},
     }  # fmt: skip
 
@@ -41,18 +42,30 @@ def execution():
             "success": {"mean": 1 - number / 1000, "interval": (0.9, 1.0)},
             "reasons": {"reached": 5000 - number, "stalled": number} if number else
             {"reached": 5000},
+            "within_5_cm": 0.995, "spearman_of_plan": figure(0.97), "error_of_plan": figure(0.01),
+            "counts": {}, "farthest_outside": -0.001,
             "spearman": figure(0.9), "error": figure(0.02), "deviation": figure(0.0012),
             "replanned": 0.25, "states_outside": 1, "actions_not_finite": 0,
             "actions_over_limit": 2, "wall_contacts": 3,
         }  # fmt: skip
-    for key in ("spearman", "error"):
+    for key in ("spearman", "error", "within_5_cm"):
         del rows["policy, goal moved"][key]
     return {
         "command": "legibility evaluate execution --seed 7", "seed": 7, "model": MODEL,
-        "config": {"rollouts": 5000, "scenes": 200, "goals": [2, 6], "disturbance": 0.1},
+        "config": {"rollouts": 5000, "scenes": 200, "goals": [2, 6], "disturbance": None},
         "result": {"rows": rows, "step_ms": 0.876, "rollouts_per_second": 321.4, "at_once": 256,
-                   "threads": 2},
+                   "threads": 2, "env": "BlockReach2D", "disturbance": 0.1,
+                   "env_steps_per_second": 4321.0},
     }  # fmt: skip
+
+
+def transfer():
+    document = execution()
+    document["result"]["env"] = "PandaGymBlockReach"
+    for number, row in enumerate(document["result"]["rows"].values()):
+        row |= {"counts": {"table_contacts": number, "self_collisions": 2},
+                "farthest_outside": 0.0012}  # fmt: skip
+    return document
 
 
 DATA = {"scenes": 12800, "seed": 0, "stream": "train", "goals": [2, 6], "per_scene": 129}
@@ -113,11 +126,11 @@ class TestExecution:
         rows = cells(text)[2:]
         assert [row[0] for row in rows] == [row.text for row in ROWS.values()]
         assert rows[0][1:] == [
-            "100.00% (90.00% to 100.00%)", "0.9000", "0.0200", "0.12%", "25.00%", ""
+            "100.00% (90.00% to 100.00%)", "99.50%", "0.9000", "0.0200", "0.12%", "25.00%", ""
         ]  # fmt: skip
         assert rows[1][-1] == "1 stalled"
-        assert rows[2][2:4] == ["–", "–"]
-        assert all(len(row) == 7 for row in rows)
+        assert rows[2][2:5] == ["–", "–", "–"]
+        assert all(len(row) == 8 for row in rows)
 
     def test_violations_are_those_of_all_rows(self):
         text = " ".join(execution_section(execution()).split())
@@ -131,9 +144,16 @@ class TestExecution:
         assert "by 10 cm in a random direction" in text
         assert "0.88 ms on one core" in text
         assert (
-            "256 robots at once 321 rollouts a second were planned and executed on 2 threads."
-            in text
+            "256 robots at once 321 rollouts a second were planned and executed on 2 threads; "
+            "the environment alone takes 4,321 control steps a second" in text
         )
+        assert "The plans alone have a correlation of 0.9700 and an error of 0.0100" in text
+
+    def test_what_an_arm_counts_is_told(self):
+        text = " ".join(execution_section(transfer()).split())
+        assert "outside the workspace (by at most 1.2 mm)" in text
+        assert "not disturbed, had 0 table contacts, 2 self collisions." in text
+        assert "the Panda of panda-gym" in text
 
 
 class TestCard:
@@ -177,14 +197,18 @@ class TestCard:
     @pytest.mark.parametrize(
         ("kind", "stage"),
         [("dial", "path"), ("closed-loop", "path"), ("closed-loop", "policy"),
-         ("execution", "path"), ("execution", "policy")],
+         ("execution", "path"), ("execution", "policy"), ("transfer", "policy")],
     )  # fmt: skip
     @pytest.mark.parametrize("other", ["c" * 64, None])
     def test_a_measurement_of_other_weights(self, kind, stage, other):
-        found = documents()
+        found = {**documents(), "transfer": transfer()}
         found[kind]["model"] = {**MODEL, stage: other}
         with pytest.raises(InvalidInputError, match=f"{kind}-m.json is of other weights"):
             render_card("m", CONFIG, found)
+
+    def test_another_simulator(self):
+        card = render_card("m", CONFIG, {**documents(), "transfer": transfer()})
+        assert execution_section(transfer()) in card
 
     def test_another_stage_2_does_not_touch_the_dial_of_paths(self):
         found = documents()

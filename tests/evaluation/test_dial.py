@@ -335,7 +335,8 @@ class TestClosedLoop:
                     states = change(one.trajectory(SCORE_POINTS))
                     off = np.full(len(states) - 1, 0.01)
                     found.append(Rollout(one, states, np.diff(states, axis=0), success,
-                                         "reached" if success else "lost", (), off, 0))  # fmt: skip
+                                         "reached" if success else "lost", (), off, 0.05,
+                                         0))  # fmt: skip
                 return found
 
             monkeypatch.setattr(shipped, "execute", execute)

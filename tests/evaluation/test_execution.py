@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from legibility.dataset import DatasetConfig
+from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import InvalidInputError
 from legibility.evaluation import execution
 from legibility.evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
@@ -145,7 +146,7 @@ class TestMeasuresWhatItSays:
         assert other["rows"] != found["rows"]
 
     def test_progress(self, modulator, monkeypatch):
-        monkeypatch.setattr(execution, "_BATCH", 2)
+        monkeypatch.setattr(BlockReach2DVector, "at_once", 2)
         counts = []
         config = ExecutionConfig(scenes=1, rollouts=3)
         evaluate_execution(modulator, config, progress=lambda *count: counts.append(count))
@@ -169,7 +170,7 @@ def test_threads_are_left_as_they_were(modulator):
     torch.set_num_threads(2)
     try:
         scene = DatasetConfig(stream="evaluation", seed=1).scene(0)[0]
-        assert execution.step_milliseconds(modulator, scene, repeats=1) > 0
+        assert execution.step_milliseconds(modulator, scene, BlockReach2DVector, repeats=1) > 0
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)

@@ -54,7 +54,7 @@ def motions(archives):
             states = path.trajectory(steps + number + 1)
             actions = np.diff(states, axis=0)
             found.append(Rollout(path, states, actions, reason == "reached", reason, (),
-                                 np.zeros(len(actions)), 0))  # fmt: skip
+                                 np.zeros(len(actions)), 0.05, 0))  # fmt: skip
         return found
 
     return build
@@ -136,16 +136,16 @@ class TestPicture:
         rollouts = motions(-1, 1)
         early, late = rollouts[1], rollouts[0]
         never = Rollout(late.path, late.states[:3], late.actions[:2], False, "lost", (),
-                        np.zeros(2), 0)  # fmt: skip
+                        np.zeros(2), 0.05, 0)  # fmt: skip
         start = Rollout(early.path, early.states[::-1], early.actions, True, "reached", (),
-                        early.deviation, 0)  # fmt: skip
+                        early.deviation, 0.05, 0)  # fmt: skip
         _, panels = scenes_and_panels(drawn([late, early, never]))
         steps = [clear_step(r.posterior, TARGET) for r in (late, early)]
         assert 0 < steps[1] < steps[0]
         expected = [f"clear after {0.05 * step:.2f} s" for step in steps] + ["never clear"]
         assert [panel.get_title() for panel in panels] == expected
         there = Rollout(start.path, start.states[:2], start.actions[:1], True, "reached", (),
-                        start.deviation[:1], 0)  # fmt: skip
+                        start.deviation[:1], 0.05, 0)  # fmt: skip
         assert drawn([there]).axes[0].get_title() == "clear from the start"
 
     def test_says_what_went_wrong(self, motions, drawn):

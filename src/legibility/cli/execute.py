@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from .options import MODEL, OutputFile, SceneFile, levels
+from .options import OptionalText, OutputFile, SceneFile, levels, model_of
 from .output import (
     check_figure,
     check_file,
@@ -24,7 +24,8 @@ def execute(
     scene: SceneFile,
     target: int = 0,
     legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1"),
-    model: str = MODEL,
+    model: OptionalText = None,
+    env: OptionalText = None,
     seed: int = 0,
     noise: float = 0.0,
     push: float = 0.0,
@@ -35,14 +36,16 @@ def execute(
     json: OutputFile = None,
     csv: OutputFile = None,
 ) -> None:
-    """Plan motions and execute them, closed loop, in BlockReach2D.
+    """Plan motions and execute them, closed loop, in an environment.
 
     Args:
         scene: a file, .yaml or .json, with the keys start and goals.
         target: index of the goal that is meant, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
-        model: name of weights that came with the package, or a folder.
-        seed: of the paths and actions drawn and of the environment's hidden gain and lag.
+        model: name of weights that came with the package, or a folder; those of the scene's
+            dimension if not given.
+        env: 2d, panda (MuJoCo) or pandagym; 2d or panda, by the scene, if not given.
+        seed: of the paths and actions drawn and of the environment's hidden properties.
         noise: standard deviation of each step's displacement [m].
         push: the robot is pushed by so much [m] on its way.
         shift: the target is moved by so much [m] on the way.
@@ -53,7 +56,7 @@ def execute(
         csv: the executed trajectories, at equal arc length, as CSV that `legibility score` reads.
     """
     from ..checks import random_seed, target_index
-    from ..envs.block_reach_2d import BlockReach2DVector
+    from ..envs import vector_type
     from ..evaluation.statistics import clear_step
     from ..execution import Rollout
     from ..scene import Scene
@@ -72,21 +75,23 @@ def execute(
             check_file(video, "film")
     place = Scene.load(scene)
     target_index(target, place.num_goals)
+    model = model_of(model, place)
+    kind = vector_type(env, place.dim)
 
     from ..modulator import Modulator
 
     modulator = Modulator.from_pretrained(model)
-    env = BlockReach2DVector(len(asked))
+    robots = kind(len(asked))
     options = {"noise": noise, "push": push, "shift": shift}
-    # The same hidden gain, lag and disturbance in each, so that ℓ alone makes the difference.
-    env.reset(seed=[seed] * len(asked), options={"scene": place, "target": target, **options})
-    rollouts = modulator.execute(env, legibility=asked, seed=seed, replan=replan)
+    # The same hidden properties and disturbance in each, so that ℓ alone makes the difference.
+    robots.reset(seed=[seed] * len(asked), options={"scene": place, "target": target, **options})
+    rollouts = modulator.execute(robots, legibility=asked, seed=seed, replan=replan)
     assert isinstance(rollouts, list)
-    seconds = 1 / env.metadata["render_fps"]
+    robots.close()
 
     def clear_after(rollout: Rollout) -> float | None:
         step = clear_step(rollout.posterior, rollout.path.target)
-        return None if step is None else round(seconds * step, 9)
+        return None if step is None else round(rollout.step_seconds * step, 9)
 
     rows = [
         {
@@ -99,6 +104,7 @@ def execute(
             "replans": rollout.replans,
             "deviation": rollout.deviation.mean(),
             "wall_contacts": rollout.wall_contacts,
+            "counts": rollout.counts,
             "clear_after": clear_after(rollout),
             "waypoints": rollout.path.waypoints,
             "states": rollout.states,
@@ -121,7 +127,13 @@ def execute(
 
         names = [f"{level:g}" for level in asked]
         write_trajectories(csv, names, np.stack([r.trajectory() for r in rollouts]))
-    config = {"target": target, "legibility": asked, "replan": replan, **options}
+    config = {
+        "env": kind.__name__.removesuffix("Vector"),
+        "target": target,
+        "legibility": asked,
+        "replan": replan,
+        **options,
+    }
     first = rollouts[0].path
     result = {
         "scene": place.to_dict(),

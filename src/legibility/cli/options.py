@@ -14,22 +14,27 @@ from tyro.conf import Positional, arg
 
 from ..checks import Array, legibility_levels
 from ..errors import InvalidInputError
+from ..scene import Scene
 
 __all__ = [
     "MODEL",
     "Folder",
     "OptionalFloat",
     "OptionalInt",
+    "OptionalText",
     "OutputFile",
     "SceneFile",
     "flags",
     "levels",
     "made",
+    "model_of",
     "span",
 ]
 
 MODEL = "block-reach-2d"
-"""The model that verbs use if none is given."""
+"""The model that is evaluated if none is given."""
+
+_MODELS = {2: MODEL, 3: "panda-block-reach"}
 
 SceneFile = Annotated[Positional[Path], arg(metavar="SCENE", help_behavior_hint="")]
 OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
@@ -37,7 +42,11 @@ Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
 OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")]
 
-_OPTIONAL: dict[Any, Any] = {int | None: OptionalInt, float | None: OptionalFloat}
+OptionalText = Annotated[str | None, arg(metavar="STR", help_behavior_hint="")]
+
+_OPTIONAL: dict[Any, Any] = {
+    int | None: OptionalInt, float | None: OptionalFloat, str | None: OptionalText
+}  # fmt: skip
 
 Settings = TypeVar("Settings")
 
@@ -63,6 +72,11 @@ def levels(entries: Sequence[str]) -> Array:
     if not values:
         raise InvalidInputError("legibility must be at least one number, got none")
     return legibility_levels(values) + 0.0  # −0 becomes 0
+
+
+def model_of(name: str | None, scene: Scene) -> str:
+    """The model that is asked for, or that of the scene's dimension."""
+    return _MODELS[scene.dim] if name is None else name
 
 
 def span(name: str, text: str) -> tuple[int, int]:

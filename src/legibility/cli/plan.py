@@ -7,7 +7,15 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from .options import MODEL, OptionalFloat, OptionalInt, OutputFile, SceneFile, levels
+from .options import (
+    OptionalFloat,
+    OptionalInt,
+    OptionalText,
+    OutputFile,
+    SceneFile,
+    levels,
+    model_of,
+)
 from .output import (
     check_figure,
     check_file,
@@ -24,7 +32,7 @@ def plan(
     scene: SceneFile,
     target: int = 0,
     legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1"),
-    model: str = MODEL,
+    model: OptionalText = None,
     seed: int = 0,
     candidates: int = 1,
     guidance: OptionalFloat = None,
@@ -40,7 +48,8 @@ def plan(
         scene: a file, .yaml or .json, with the keys start, goals and if wanted workspace.
         target: index of the goal that is meant, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
-        model: name of weights that came with the package, or a folder.
+        model: name of weights that came with the package, or a folder; those of the scene's
+            dimension if not given.
         seed: of the paths drawn.
         candidates: paths drawn for each level; the one nearest to what was asked is kept.
         guidance: weight of classifier-free guidance at ±1; the model's own if not given.
@@ -62,6 +71,7 @@ def plan(
     check_file(csv, "CSV file")
     place = Scene.load(scene)
     target_index(target, place.num_goals)
+    model = model_of(model, place)
 
     from ..modulator import Modulator
 

@@ -25,7 +25,8 @@ def report(
     """Render what `legibility evaluate` wrote: tables, figures and model cards.
 
     DIR holds, for weights NAME, dial-NAME.json of `evaluate dial`, closed-loop-NAME.json of the
-    same with --closed-loop, and execution-NAME.json of `evaluate execution`. Each becomes a text,
+    same with --closed-loop, execution-NAME.json of `evaluate execution` and, of the same in another
+    simulator, transfer-NAME.json. Each becomes a text,
     DIR/KIND-NAME.md, the first two a figure DIR/KIND-NAME.png too.
 
     Args:
@@ -74,6 +75,7 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "dial": dial_section,
     "closed-loop": dial_section,
     "execution": execution_section,
+    "transfer": execution_section,
 }
 
 

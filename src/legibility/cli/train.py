@@ -28,7 +28,7 @@ from ..training import (
     train_path,
     train_policy,
 )
-from .options import Folder, OutputFile, flags, made
+from .options import Folder, OptionalText, OutputFile, flags, made
 from .output import (
     check_file,
     check_folder,
@@ -46,8 +46,6 @@ _PolicyTraining = flags(PolicyTrainingConfig)
 _PolicyModel = flags(PathPolicyConfig, "dim", "limit")
 _VALIDATION_SCENES = 128
 
-_Device = Annotated[str | None, arg(metavar="STR", help_behavior_hint="")]
-
 
 def path(
     training: Annotated[Any, arg(constructor=_PathTraining)],
@@ -57,7 +55,7 @@ def path(
     validation: Folder = None,
     workers: int = 1,
     weights: Folder = None,
-    device: _Device = None,
+    device: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train stage 1, the path diffuser, and save its weights to OUT/weights.
@@ -101,7 +99,7 @@ def policy(
     validation: Folder = None,
     workers: int = 1,
     weights: Folder = None,
-    device: _Device = None,
+    device: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train stage 2, the path-guided policy, and save its weights to OUT/weights.

@@ -2,15 +2,55 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING
+
 import gymnasium
 
-__all__ = ["MAX_EPISODE_STEPS"]
+from ..errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from .block_reach import BlockReachVector
+
+__all__ = ["DEFAULT_ENVIRONMENT", "ENVIRONMENTS", "MAX_EPISODE_STEPS", "vector_type"]
 
 MAX_EPISODE_STEPS = 400
 
-gymnasium.register(
-    id="legibility/BlockReach2D-v0",
-    entry_point="legibility.envs.block_reach_2d:BlockReach2D",
-    vector_entry_point="legibility.envs.block_reach_2d:BlockReach2DVector",
-    max_episode_steps=MAX_EPISODE_STEPS,
-)
+ENVIRONMENTS = {
+    "2d": "block_reach_2d:BlockReach2D",
+    "panda": "panda:PandaBlockReach",
+    "pandagym": "pandagym:PandaGymBlockReach",
+}
+"""By the name that commands know it by, the class of one robot; that of many ends in `Vector`."""
+
+DEFAULT_ENVIRONMENT = {2: "2d", 3: "panda"}
+"""Where a model of a dimension is trained, and executed if nothing else is said."""
+
+for _entry in ENVIRONMENTS.values():
+    gymnasium.register(
+        id=f"legibility/{_entry.partition(':')[2]}-v0",
+        entry_point=f"{__name__}.{_entry}",
+        vector_entry_point=f"{__name__}.{_entry}Vector",
+        max_episode_steps=MAX_EPISODE_STEPS,
+    )
+
+
+def vector_type(name: str | None, dim: int) -> type[BlockReachVector]:
+    """The class of many robots of an environment.
+
+    Args:
+        name: one of `ENVIRONMENTS`; the default of the dimension if not given.
+        dim: D of the model or the scenes, which must be the environment's.
+
+    Raises:
+        InvalidInputError: there is no such environment, or it is of another dimension.
+        MissingExtraError: what it needs is not installed.
+    """
+    name = DEFAULT_ENVIRONMENT[dim] if name is None else name
+    if name not in ENVIRONMENTS:
+        raise InvalidInputError(f"env must be one of {', '.join(ENVIRONMENTS)}, got {name!r}")
+    module, _, kind = ENVIRONMENTS[name].partition(":")
+    found = getattr(importlib.import_module(f".{module}", __name__), f"{kind}Vector")
+    if found.dim != dim:
+        raise InvalidInputError(f"the environment {name} is {found.dim}-D, what is asked {dim}-D")
+    return found

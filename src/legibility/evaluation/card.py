@@ -34,10 +34,10 @@ def dial_section(document: dict[str, Any]) -> str:
     """The table, what it was measured on and by which command, in Markdown."""
     config, result = document["config"], document["result"]
     if config["closed_loop"]:
-        how = """\
-Every path is executed by stage 2 in BlockReach2D, with a gain and a lag of its own that the robot
-does not know, and what is scored is the executed motion. One that arrives ends within 2 cm of the
-target, so it may be a little shorter than its path."""
+        how = f"""\
+Every path is executed by stage 2 in {_WORLDS[result["env"]]}, and what is scored is the executed
+motion. One that arrives ends within 2 cm of the target, so it may be a little shorter than its
+path."""
     else:
         how = f"""\
 One path is drawn for a sample; only the row "with candidates" takes the nearest of
@@ -58,13 +58,14 @@ def execution_section(document: dict[str, Any]) -> str:
     """Executed motions by stage 2 and by what it is held against, in Markdown."""
     config, result = document["config"], document["result"]
     table = [
-        "| what moves the robot | success (95 % interval) | Spearman | error of ℓ "
+        "| what moves the robot | success (95 % interval) | within 5 cm | Spearman | error of ℓ "
         "| distance from the curve | planned anew | stopped early |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, row in result["rows"].items():
         low, high = row["success"]["interval"]
         dial = [f"{row[key]['mean']:.4f}" if key in row else "–" for key in ("spearman", "error")]
+        near = f"{row['within_5_cm']:.2%}" if "within_5_cm" in row else "–"
         ends = [
             f"{number:,} {reason}"
             for reason, number in sorted(row["reasons"].items())
@@ -72,28 +73,31 @@ def execution_section(document: dict[str, Any]) -> str:
         ]
         table.append(
             f"| {ROWS[name].text} | {row['success']['mean']:.2%} ({low:.2%} to {high:.2%}) "
-            f"| {' | '.join(dial)} | {row['deviation']['mean']:.2%} | {row['replanned']:.2%} "
-            f"| {', '.join(ends)} |"
+            f"| {near} | {' | '.join(dial)} | {row['deviation']['mean']:.2%} "
+            f"| {row['replanned']:.2%} | {', '.join(ends)} |"
         )
+    plan = result["rows"]["policy"]
     kinds = ("states_outside", "actions_not_finite", "actions_over_limit", "wall_contacts")
     found = [sum(row[kind] for row in result["rows"].values()) for kind in kinds]
     on = _filled(f"""\
 {config["rollouts"]:,} rollouts a row on {config["scenes"]} random scenes with {_goals(config)} that
-training never drew (seed {document["seed"]}), ℓ uniform in [−1, 1], each robot with a gain and a
-lag that it does not know. All rows share scenes, levels, plans, gains and lags. A push displaces
-the robot, a move the target, by {100 * config["disturbance"]:g} cm in a random direction
-half-way.""")
+training never drew (seed {document["seed"]}), ℓ uniform in [−1, 1], in
+{_WORLDS[result["env"]]}. All rows share scenes, levels, plans and robots. A push displaces the
+robot, a move the target, by {100 * result["disturbance"]:g} cm in a random direction half-way.""")
     means = _filled(f"""\
 Spearman's correlation and the mean error compare the asked ℓ with that of the executed motion,
 whether it arrived or not; where the target moved there is none, as ℓ belongs to a scene. The
-distance is that from the curve that was followed at the time, over the length of the first. In all
-rows together {found[0]} states were outside the workspace, {found[1]} actions not finite,
-{found[2]} over the limit, and {found[3]} steps were stopped by a wall.""")
+distance is that from the curve that was followed at the time, over the length of the first. The
+plans alone have a correlation of {plan["spearman_of_plan"]["mean"]:.4f} and an error of
+{plan["error_of_plan"]["mean"]:.4f}. In all rows together {found[0]:,} states were outside the
+workspace{_farthest(result)}, {found[1]} actions not finite, {found[2]} over the limit, and
+{found[3]} steps were stopped by a wall.{_counted(result)}""")
     speed = _filled(f"""\
 One control step of one robot took {result["step_ms"]:.2f} ms on one core, the policy included and
 amortised over its chunk. With {result["at_once"]} robots at once
 {result["rollouts_per_second"]:.0f} rollouts a second were planned and executed on
-{_threads(result)}.""")
+{_threads(result)}; the environment alone takes {result["env_steps_per_second"]:,.0f} control steps
+a second on one core.""")
     return f"""\
 {on}
 
@@ -104,6 +108,28 @@ amortised over its chunk. With {result["at_once"]} robots at once
 {speed}
 
 Measured by `{document["command"]}`."""
+
+
+_WORLDS = {
+    "BlockReach2D": "BlockReach2D, each robot with a gain and a lag that it does not know",
+    "PandaBlockReach": "PandaBlockReach (the Panda on MuJoCo), each arm with a response and a "
+    "delay that it does not know",
+    "PandaGymBlockReach": "PandaGymBlockReach (the Panda of panda-gym, which was not trained in)",
+}
+
+
+def _farthest(result: dict[str, Any]) -> str:
+    farthest = max(row["farthest_outside"] for row in result["rows"].values())
+    return f" (by at most {1e3 * farthest:.1f} mm)" if farthest > 0 else ""
+
+
+def _counted(result: dict[str, Any]) -> str:
+    """What an arm's environment counted in the rows in which stage 2 moves it undisturbed."""
+    counts = result["rows"]["policy"]["counts"]
+    if not counts:
+        return ""
+    found = ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
+    return f" Stage 2, not disturbed, had {found}."
 
 
 def _goals(config: dict[str, Any]) -> str:
@@ -136,7 +162,8 @@ def render_card(name: str, config: dict[str, Any], documents: dict[str, dict[str
     Args:
         name: of the weights.
         config: the content of `config.json`.
-        documents: by kind, `dial` and, with a stage 2, `closed-loop` and `execution`.
+        documents: by kind, `dial` and, with a stage 2, `closed-loop`, `execution` and, if it was
+            measured, `transfer`.
 
     Raises:
         InvalidInputError: a measurement is missing or of other weights, or how they were made is
@@ -146,6 +173,8 @@ def render_card(name: str, config: dict[str, Any], documents: dict[str, dict[str
     needed = {"dial": ["path"]}
     if "policy" in stages:
         needed |= {"closed-loop": ["path", "policy"], "execution": ["path", "policy"]}
+        if "transfer" in documents:
+            needed["transfer"] = ["path", "policy"]
     for kind, used in needed.items():
         if kind not in documents:
             raise InvalidInputError(f"there is no {kind}-{name}.json beside the other measurements")
@@ -195,7 +224,8 @@ SHA-256 over the shards: `{training["digest"]}`."""),
             "\n## Training of stage 2\n",
             _filled(f"""\
 {shown["number"]:,} demonstrations, {shown["demonstrations"]} in each of {demonstrated:,} scenes
-of the same data: a feedback controller follows paths of the archive in BlockReach2D, with noise of
+of the same data: a feedback controller follows paths of the archive in
+{"BlockReach2D" if path["dim"] == 2 else "PandaBlockReach, on MuJoCo"}, with noise of
 {1e3 * shown["noise"]:g} mm a step and, in {shown["pushed"]:.0%}, a push of
 {1e2 * shown["push"]:g} cm. SHA-256 over the shards: `{policy["digest"]}`."""),
             "",
@@ -208,6 +238,11 @@ of the same data: a feedback controller follows paths of the archive in BlockRea
             execution_section(documents["execution"]),
             "\n## How exact the dial of executed motions is\n",
             dial_section(documents["closed-loop"]),
+        ]
+    if "transfer" in documents:
+        parts += [
+            "\n## How well motions are executed in a simulator that was not trained in\n",
+            execution_section(documents["transfer"]),
         ]
     parts += [
         "\n## Limits\n",

@@ -13,7 +13,8 @@ import torch
 from ..checks import Array, count
 from ..curves import arc_length
 from ..dataset import DatasetConfig
-from ..envs.block_reach_2d import BlockReach2DVector
+from ..envs import vector_type
+from ..errors import InvalidInputError
 from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..path import Path
@@ -74,8 +75,10 @@ class DialConfig:
         candidates: paths drawn for the nearest of them, measured besides; 0 leaves it out.
         guidance: weight of classifier-free guidance at ±1; the model's own if not given.
         steps: of the sampler; the model's own if not given.
-        closed_loop: whether the paths are executed, each with a hidden gain and lag of its own, and
-            what is measured is the executed motion.
+        closed_loop: whether the paths are executed, each by a robot with hidden properties of its
+            own, and what is measured is the executed motion.
+        env: where they are executed, 2d, panda or pandagym; the default of the dimension if not
+            given.
     """
 
     scenes: int = 200
@@ -87,11 +90,14 @@ class DialConfig:
     guidance: float | None = None
     steps: int | None = None
     closed_loop: bool = False
+    env: str | None = None
 
     def __post_init__(self) -> None:
         count("levels", self.levels, low=3)
         count("samples", self.samples)
         count("candidates", self.candidates, low=0)
+        if self.env is not None and not self.closed_loop:
+            raise InvalidInputError(f"env {self.env} belongs to closed_loop, which is not asked")
 
 
 def evaluate_dial(
@@ -105,9 +111,11 @@ def evaluate_dial(
     Returns:
         `overall`: each of `FIGURES` with mean over scenes, 95 % interval, worst and best;
         `scenes`: the same of each scene, its number of goals and what was achieved at each level;
-        `levels`: the levels asked; `plan_ms`: the time of one plan on one core.
+        `levels`: the levels asked; `plan_ms`: the time of one plan on one core; `env`, of a closed
+        loop: where.
     """
     config = config or DialConfig()
+    kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
     source = DatasetConfig(
         dim=modulator.config.dim,
         scenes=config.scenes,
@@ -130,7 +138,9 @@ def evaluate_dial(
                      **_measure(modulator, scene, archive, levels, index, config)})  # fmt: skip
         progress(index + 1, config.scenes)
     names = [name for name in FIGURES if name in rows[0]]
+    world = {"env": kind.__name__.removesuffix("Vector")} if kind else {}
     return {
+        **world,
         "overall": {name: summary(np.array([row[name] for row in rows])) for name in names},
         "levels": levels.tolist(),
         "plan_ms": plan_ms,
@@ -153,7 +163,7 @@ def _measure(
     path = modulator.plan(scene, 0, asked, seed=seed, **options)
     zero = np.abs(asked) == np.abs(levels).min()
     if config.closed_loop:
-        score, curves, figures = _executed(modulator, path, seed)
+        score, curves, figures = _executed(modulator, path, seed, config.env)
     else:
         score, curves = path.score, path.trajectory(200)
         figures = {"drawn_inside": float(1 - np.mean(path.clipped))}
@@ -190,15 +200,22 @@ def _measure(
     return {**figures, **{name: values.tolist() for name, values in by_level.items()}}
 
 
-def _executed(modulator: Modulator, path: Path, seed: int) -> tuple[Array, Array, dict[str, float]]:
+def _executed(
+    modulator: Modulator, path: Path, seed: int, name: str | None
+) -> tuple[Array, Array, dict[str, float]]:
     """Scores `(B,)` and curves `(B, T, D)` [m] of the executed paths, and how well they went."""
-    size = len(path.waypoints)
-    env = BlockReach2DVector(size)
-    env.reset(seed=seed, options={"scene": path.scene, "target": path.target})
-    rollouts = modulator.execute(
-        env, legibility=path.legibility, seed=seed, path=[path[i] for i in range(size)]
-    )
-    assert isinstance(rollouts, list)
+    kind = vector_type(name, path.scene.dim)
+    size, rollouts = len(path.waypoints), []
+    for first in range(0, size, kind.at_once):
+        part = [path[i] for i in range(first, min(first + kind.at_once, size))]
+        env = kind(len(part))
+        env.reset(seed=seed + first, options={"scene": path.scene, "target": path.target})
+        found = modulator.execute(
+            env, legibility=[p.legibility for p in part], seed=seed + first, path=part
+        )
+        assert isinstance(found, list)
+        rollouts += found
+        env.close()
     off = [r.deviation.mean() for r in rollouts] / path.length
     figures = {
         "success": float(np.mean([r.success for r in rollouts])),

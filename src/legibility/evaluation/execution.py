@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..checks import Array, bounded, count
 from ..dataset import DatasetConfig
-from ..envs.block_reach_2d import BlockReach2DVector
+from ..envs import vector_type
+from ..envs.block_reach import BlockReachVector
 from ..errors import InvalidInputError
 from ..execution import Driver, Feedback, Policy, Replay, Rollout
 from ..modulator import Modulator
@@ -52,7 +53,8 @@ ROWS = {
 }
 """What is compared, and what it is."""
 
-_BATCH = 256
+_DISTURBANCE = 2.0
+_NEAR = 0.05
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,17 @@ class ExecutionConfig:
         goals: least and most goals of a scene.
         seed: of the scenes, the plans and the environments.
         rollouts: in all, the same number in each scene, ℓ uniform in [−1, 1].
-        disturbance: of a push or a shift of the target [m].
+        disturbance: of a push or a shift of the target [m]; twice the largest displacement of a
+            step if not given.
+        env: where, 2d, panda or pandagym; the default of the dimension if not given.
     """
 
     scenes: int = 200
     goals: tuple[int, int] = (2, 6)
     seed: int = 0
     rollouts: int = 5000
-    disturbance: float = 0.1
+    disturbance: float | None = None
+    env: str | None = None
 
     def __post_init__(self) -> None:
         count("scenes", self.scenes)
@@ -80,7 +85,8 @@ class ExecutionConfig:
                 f"rollouts must be a multiple of scenes, three or more in each, "
                 f"got {self.rollouts} for {self.scenes}"
             )
-        bounded("disturbance", self.disturbance, 0)
+        if self.disturbance is not None:
+            bounded("disturbance", self.disturbance, 0)
 
 
 def evaluate_execution(
@@ -97,9 +103,11 @@ def evaluate_execution(
         `rows`: of each of `ROWS` its success with interval, the reasons of the ends, what was
         achieved against what was asked (of all rollouts, however they ended; not where the target
         moved, as its label would be another scene's), the deviation from the curve that was
-        followed at the time over the length of the first, violations;
+        followed at the time over the length of the first, violations, what else was counted;
         `step_ms`: a control step of one robot on one core, policy included, amortised over a chunk;
-        `rollouts_per_second`: of stage 2, planning included, `at_once` robots on `threads` threads.
+        `rollouts_per_second`: of stage 2, planning included, `at_once` robots on `threads` threads;
+        `env_steps_per_second`: of the environment alone, as many robots, on one core;
+        `env`, `disturbance`: where, and of how many metres.
     """
     config = config or ExecutionConfig()
     policy = modulator.path_policy
@@ -110,7 +118,17 @@ def evaluate_execution(
         goals=config.goals, label=modulator.config.label, sigma=modulator.config.sigma,
         alpha=modulator.config.alpha,
     )  # fmt: skip
-    step_ms = step_milliseconds(modulator, source.scene(0)[0])
+    kind = vector_type(config.env, modulator.config.dim)
+    limit = policy.config.limit
+    if kind.max_displacement != limit:
+        raise InvalidInputError(
+            f"the model {modulator.name} acts within {limit} m a step, {config.env} within "
+            f"{kind.max_displacement} m"
+        )
+    disturbance = _DISTURBANCE * limit if config.disturbance is None else config.disturbance
+    step_ms = step_milliseconds(modulator, source.scene(0)[0], kind)
+    at_once = min(kind.at_once, config.rollouts)
+    env_speed = env_steps_per_second(kind, at_once)
     scenes: list[Scene] = []
     archives: list[Archive] = []
     total = config.scenes + len(ROWS) * config.rollouts
@@ -133,34 +151,38 @@ def evaluate_execution(
     plans: dict[int, list[Path]] = {}  # of the first row, for all of them
     done = config.scenes
     for name, row in ROWS.items():
-        options = {row.disturbance: config.disturbance} if row.disturbance else {}
+        options = {row.disturbance: disturbance} if row.disturbance else {}
         rollouts: list[Rollout] = []
         started = time.perf_counter()
-        for first in range(0, config.rollouts, _BATCH):
-            part = slice(first, first + _BATCH)
+        for first in range(0, config.rollouts, at_once):
+            part = slice(first, first + at_once)
             plan_seed, policy_seed, env_seed = _seeds(config.seed, first)
-            env = BlockReach2DVector(len(each[part]))
+            env = kind(len(each[part]))
             env.reset(seed=env_seed, options={"scene": [scenes[i] for i in each[part]], **options})
             found = modulator.execute(
                 env, legibility=levels[part], seed=plan_seed, path=plans.get(first),
                 driver=drivers[row.driver](policy_seed), replan=row.replan,
             )  # fmt: skip
             assert isinstance(found, list)
+            env.close()
             plans.setdefault(first, [rollout.path for rollout in found])
             rollouts += found
             progress(done + len(rollouts), total)
         if name == "policy":
             speed = config.rollouts / (time.perf_counter() - started)
         done += config.rollouts
-        rows[name] = _figures(rollouts, levels, each, archives, policy.config.limit)
+        rows[name] = _figures(rollouts, levels, each, archives, limit)
         if row.disturbance == "shift":
-            for figure in ("spearman", "error"):
+            for figure in ("spearman", "error", "within_5_cm"):
                 del rows[name][figure]
     return {
         "rows": rows,
         "step_ms": step_ms,
         "rollouts_per_second": speed,
-        "at_once": min(_BATCH, config.rollouts),
+        "at_once": at_once,
+        "env_steps_per_second": env_speed,
+        "env": kind.__name__.removesuffix("Vector"),
+        "disturbance": disturbance,
         "threads": torch.get_num_threads(),
     }
 
@@ -208,20 +230,28 @@ def _figures(
     actions = np.concatenate([r.actions for r in rollouts])
     states = np.concatenate([r.states for r in rollouts])
     low, high = rollouts[0].path.scene.workspace
+    ends = np.stack([r.states[-1] for r in rollouts])
+    goals = np.stack([r.path.waypoints[-1] for r in rollouts])
     return {
         "rollouts": len(rollouts),
         "success": {"mean": float(success.mean()), "interval": _interval(success, shares)},
+        "within_5_cm": float((np.linalg.norm(ends - goals, axis=-1) <= _NEAR).mean()),
         "reasons": dict(Counter(r.reason for r in rollouts)),
         "spearman": summary(np.array([rank_correlation(levels[o], achieved[o]) for o in own])),
         "error": summary(np.array([np.abs(achieved - levels)[o].mean() for o in own])),
+        "spearman_of_plan": summary(
+            np.array([rank_correlation(levels[o], planned[o]) for o in own])
+        ),
         "error_of_plan": summary(np.array([np.abs(planned - levels)[o].mean() for o in own])),
         "deviation": summary(np.array([(deviation / lengths)[o].mean() for o in own])),
         "steps": float(np.mean([len(r.actions) for r in rollouts])),
         "replanned": float(np.mean([len(r.replans) > 0 for r in rollouts])),
         "wall_contacts": sum(r.wall_contacts for r in rollouts),
         "states_outside": int(((states < low - 1e-9) | (states > high + 1e-9)).any(-1).sum()),
+        "farthest_outside": float(np.maximum(low - states, states - high).max()),
         "actions_not_finite": int((~np.isfinite(actions)).any(-1).sum()),
         "actions_over_limit": int((np.abs(actions) > limit).any(-1).sum()),
+        "counts": {name: sum(r.counts[name] for r in rollouts) for name in rollouts[0].counts},
     }
 
 
@@ -237,14 +267,16 @@ def _seeds(seed: int, first: int) -> list[int]:
     return [int(word >> 2) for word in draw.generate_state(3, np.uint64)]
 
 
-def step_milliseconds(modulator: Modulator, scene: Scene, repeats: int = 5) -> float:
+def step_milliseconds(
+    modulator: Modulator, scene: Scene, kind: type[BlockReachVector], repeats: int = 5
+) -> float:
     """Median time [ms] of one control step of one robot on one core, everything but planning."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         times = []
         for seed in range(repeats + 1):
-            env = BlockReach2DVector(1)
+            env = kind(1)
             env.reset(seed=seed, options={"scene": scene})
             path = modulator.plan(scene, 0, 0.5, seed=seed)
             start = time.perf_counter()
@@ -254,3 +286,17 @@ def step_milliseconds(modulator: Modulator, scene: Scene, repeats: int = 5) -> f
     finally:
         torch.set_num_threads(threads)
     return float(np.median(times[1:]) * 1e3)
+
+
+def env_steps_per_second(kind: type[BlockReachVector], size: int, seconds: float = 2.0) -> float:
+    """Control steps a second of the environment alone, `size` robots that move at random."""
+    env = kind(size)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    reach = env.max_displacement / 2
+    taken, started = 0, time.perf_counter()
+    while (spent := time.perf_counter() - started) < seconds or taken == 0:
+        taken += int((~env.done).sum())
+        env.step(rng.uniform(-reach, reach, env.positions.shape))
+    env.close()
+    return taken / spent

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..colors import INK, MUTED
-from ..envs.block_reach_2d import BlockReach2DVector
 from ..errors import InvalidInputError, OutputError
 from ..execution import Rollout
 from ..files import atomic_path
@@ -45,7 +44,6 @@ FILMS = (".gif", ".mp4")
 MOST = 25
 """Motions that are shown side by side."""
 
-_SECONDS = 1 / BlockReach2DVector.metadata["render_fps"]
 _COLUMNS = 5
 _DPI = {".gif": 110, ".mp4": 200}
 _EXACT = 48
@@ -117,7 +115,7 @@ def execution_film(
     with style.context(["default", STYLE]), atomic_path(file) as temporary:
         figure = Figure(layout.size, dpi=_DPI[suffix])
         stage = _Stage(figure, layout, rollouts)
-        write(temporary, *stage.frames(progress))
+        write(temporary, *stage.frames(progress), rollouts[0].step_seconds)
 
 
 class _Layout:
@@ -158,7 +156,7 @@ class _Stage:
             row, column = divmod(number, layout.columns)
             panel = figure.add_subplot(
                 cells[5 * row + 3, 2 * column + 1],
-                xlim=(0, self.last * _SECONDS),
+                xlim=(0, self.last * rollouts[0].step_seconds),
                 ylim=(-0.04, 1.06),
             )
             panel.set_yticks((0, 0.5, 1), ("0", "½", "1"))
@@ -239,7 +237,8 @@ class _Motion:
         self.states = flat(axes, rollout.states)
         self.beliefs = rollout.posterior
         self.last = len(rollout.actions)
-        self.times = np.arange(self.last + 1) * _SECONDS
+        self.seconds = rollout.step_seconds
+        self.times = np.arange(self.last + 1) * self.seconds
         clear = clear_step(self.beliefs, target)
         self.clear = self.last + 1 if clear is None else clear
         blended = self.beliefs @ np.array([to_rgb(color) for color in colors])
@@ -274,7 +273,7 @@ class _Motion:
         self.spot = add(_diamond(*self.states[at].T))
         self.moment = add(_diamond(self.times[at], self.beliefs[at, target]), panel)
         self.shade = add(
-            Rectangle((self.clear * _SECONDS, -0.04), 0, 1.1, color=colors[target], alpha=0.15,
+            Rectangle((self.clear * self.seconds, -0.04), 0, 1.1, color=colors[target], alpha=0.15,
                       lw=0, zorder=1), panel,
         )  # fmt: skip
         self.moving = sorted(
@@ -296,9 +295,9 @@ class _Motion:
         clear = step >= self.clear
         for artist in (self.spot, self.moment, self.shade):
             artist.set_visible(clear)
-        self.shade.set_width(max(0, step - self.clear) * _SECONDS)
+        self.shade.set_width(max(0, step - self.clear) * self.seconds)
         if clear:
-            after = f"after {self.clear * _SECONDS:.2f} s" if self.clear else "from the start"
+            after = f"after {self.clear * self.seconds:.2f} s" if self.clear else "from the start"
             self.label.set_text(f"clear {after}")
         else:
             self.label.set_text("never clear" if step == self.last else "")
@@ -317,13 +316,13 @@ def _diamond(x: Any, y: Any) -> Line2D:
     return Line2D(x, y, ls="", marker="D", ms=4.5, color="white", mec=INK, mew=1, zorder=9)
 
 
-def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture]) -> None:
+def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
     palette = _Palette(final)  # one for all, so that it is kept once
     frames = map(palette.image, pictures)
-    hold = [palette.image(final)] * round(_HOLD / _SECONDS)  # kept as one frame that lasts
+    hold = [palette.image(final)] * round(_HOLD / seconds)  # kept as one frame that lasts
     next(frames).save(
         file, format="GIF", save_all=True, append_images=itertools.chain(frames, hold),
-        duration=round(1000 * _SECONDS), loop=0, disposal=1, optimize=False,
+        duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
     )  # fmt: skip
 
 
@@ -358,9 +357,9 @@ class _Palette:
         return image
 
 
-def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture]) -> None:
+def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
     height, width, _ = final.shape
-    rate = round(1 / _SECONDS)
+    rate = round(1 / seconds)
     command = [
         "ffmpeg", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24",
         "-s", f"{width}x{height}", "-r", str(rate), "-i", "-",

@@ -15,7 +15,7 @@ from ..checks import Array, count
 from ..curves import arc_length
 from ..dataset import Dataset
 from ..demonstrations import Demonstrations
-from ..envs.block_reach_2d import BlockReach2DVector
+from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..execution import Fleet, Policy, follow
 from ..intent.field import InformationPotentialField
@@ -189,7 +189,7 @@ def validate_policy(model: PathPolicy, validation: Dataset, paths: int = 2) -> d
             np.concatenate([scene.start[None], inner, scene.goals[:1]]), np.False_,
             field, config.alpha, config.label,
         ))  # fmt: skip
-    env = BlockReach2DVector(len(scenes))
+    env = vector_type(None, config.dim)(len(scenes))
     env.reset(seed=0, options={"scene": scenes})
     rollouts = follow(Fleet(env, 0), plans, Policy(model.to("cpu"), seed=0))
     model.to(where)
