@@ -22,7 +22,7 @@ from .path import Path
 
 __all__ = ["Driver", "Feedback", "Fleet", "Policy", "Replay", "Rollout", "follow"]
 
-_PATIENCE = 40
+_PATIENCE = 2.0
 _PROGRESS = 0.2
 _LOST = 6.0
 
@@ -42,6 +42,7 @@ class Rollout:
         deviation: `(T,)` [m], distance from the path that was followed at the time.
         step_seconds: time of a control step [s].
         wall_contacts: steps in which the motion would have left the workspace.
+        joint_angles: `(T + 1, J)` [rad], of an arm; J = 0 where there is none.
         counts: what else the environment counted, by name: contacts and violations of an arm.
     """
 
@@ -54,6 +55,7 @@ class Rollout:
     deviation: Array
     step_seconds: float
     wall_contacts: int
+    joint_angles: Array = field(default_factory=lambda: np.empty((0, 0)))
     counts: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -135,6 +137,11 @@ class Fleet:
     def positions(self) -> Array:
         """`(B, D)` [m]."""
         return self._gather("positions")
+
+    @property
+    def joint_angles(self) -> Array:
+        """`(B, J)` [rad]; a point in the plane has none."""
+        return self._gather("joint_angles")
 
     def set_targets(self, targets: NDArray[Any]) -> None:
         """Mean other goals from now on."""
@@ -274,7 +281,9 @@ def follow(
             f"a path must start at the robot, {positions[worst].tolist()}, "
             f"got {paths[worst].waypoints[0].tolist()}"
         )
+    patience = round(_PATIENCE / fleet.step_seconds)
     states, actions, deviations, contacts = [positions], [], [], np.zeros(size, dtype=int)
+    joints = [fleet.joint_angles]
     counts = {name: np.zeros(size, dtype=int) for name in fleet.counted}
     steps = np.zeros(size, dtype=int)
     reasons = np.full(size, "", dtype=object)
@@ -302,6 +311,7 @@ def follow(
         tracker.update(positions, previous)
         off = tracker.distance(positions)
         states.append(positions)
+        joints.append(fleet.joint_angles)
         actions.append(sent)
         deviations.append(off)
         contacts += active & np.asarray(info["wall_contact"])
@@ -319,7 +329,7 @@ def follow(
             ("reached", success),
             ("time", ended),
             ("lost", lost),
-            ("stalled", since >= _PATIENCE),
+            ("stalled", since >= patience),
         ):
             reasons[active & now & (reasons == "")] = reason
         active &= reasons == ""
@@ -338,6 +348,7 @@ def follow(
                     replans[row].append(int(steps[row]))
 
     track, sent, off = np.stack(states, 1), np.stack(actions, 1), np.stack(deviations, 1)
+    angles = np.stack(joints, 1)
     return [
         Rollout(
             path=paths[i],
@@ -349,6 +360,7 @@ def follow(
             deviation=off[i, : steps[i]],
             step_seconds=fleet.step_seconds,
             wall_contacts=int(contacts[i]),
+            joint_angles=angles[i, : steps[i] + 1],
             counts={name: int(number[i]) for name, number in counts.items()},
         )
         for i in range(size)

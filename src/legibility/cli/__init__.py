@@ -27,6 +27,7 @@ _VERBS = {
     "evaluate dial": "measure achieved against asked legibility on scenes never seen",
     "evaluate execution": "measure executed motions and what moves them on scenes never seen",
     "report": "render measurements as tables, figures and model cards",
+    "doctor": "tell what is installed, what works here, and what to do about the rest",
 }
 _GROUPS = {
     "train": "make the weights of a model from a dataset",

@@ -32,6 +32,7 @@ def execute(
     shift: float = 0.0,
     replan: bool = True,
     figure: OutputFile = None,
+    spectrum: OutputFile = None,
     video: OutputFile = None,
     json: OutputFile = None,
     csv: OutputFile = None,
@@ -51,7 +52,8 @@ def execute(
         shift: the target is moved by so much [m] on the way.
         replan: plan again where a push or a shift has taken the robot off its path.
         figure: motions side by side and the belief under each, .png, .pdf or .svg.
-        video: the same as a film, .gif or, with ffmpeg, .mp4.
+        spectrum: all motions in one picture and their cost against ℓ, .png, .pdf or .svg.
+        video: the motions side by side as a film, .gif or, with ffmpeg, .mp4.
         json: everything as JSON.
         csv: the executed trajectories, at equal arc length, as CSV that `legibility score` reads.
     """
@@ -64,6 +66,7 @@ def execute(
     asked = levels(legibility)
     random_seed("seed", seed)
     check_figure(figure)
+    check_figure(spectrum)
     check_file(json, "JSON file")
     check_file(csv, "CSV file")
     if figure is not None or video is not None:
@@ -117,6 +120,10 @@ def execute(
         from ..evaluation.film import execution_figure
 
         execution_figure(rollouts, figure)
+    if spectrum is not None:
+        from ..evaluation.spectrum import spectrum_figure
+
+        spectrum_figure(rollouts, spectrum)
     if video is not None:
         from ..evaluation.film import execution_film
 

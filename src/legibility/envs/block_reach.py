@@ -108,6 +108,11 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self._push, self._shift, self._starts = np.zeros((3, num_envs, self.dim))
         self._travelled, self._steps = np.zeros((2, num_envs))
 
+    @property
+    def joint_angles(self) -> Array:
+        """`(B, J)` [rad], of an arm; J = 0 where there is none."""
+        return np.empty((self.num_envs, 0))
+
     @abstractmethod
     def _draw_robot(self, rng: np.random.Generator, options: Mapping[str, Any]) -> dict[str, Any]:
         """What is hidden of a robot in an episode, drawn whatever the options fix."""

@@ -35,17 +35,22 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HALO",
+    "LABELS",
+    "PAGE",
+    "REDS",
     "STYLE",
+    "add_lines",
     "archive_figure",
     "dial_figure",
     "figure_file",
     "flat",
     "goal_colors",
+    "name_ends",
     "plan_figure",
     "scene_axes",
 ]
 
-_COLUMN, _PAGE = 3.5, 7.16  # widths [in] of one column and of both, IEEE
+_COLUMN, PAGE = 3.5, 7.16  # widths [in] of one column and of both, IEEE
 
 STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that it is the same everywhere
@@ -73,13 +78,13 @@ _METADATA = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 
 _INK, _MUTED = INK, MUTED
 _TARGET, *_OTHERS = GOALS
-_REDS = LinearSegmentedColormap.from_list(
+REDS = LinearSegmentedColormap.from_list(
     "legibility", ["#f59b80", "#ee664b", "#cf2330", "#8d0f22", "#3f0714"]
 )
 _DIVERGING = LinearSegmentedColormap.from_list(
     "ambiguous_straight_legible", ["#114b8c", "#5b93c7", "#b8b8b8", "#de6a55", "#96101f"]
 )
-_LABELS = Normalize(-1, 1)
+LABELS = Normalize(-1, 1)
 _BINS = 20
 _POTENTIALS = (0.1, 0.7, 2.3, 7, 21, np.inf)
 """φ [nat] at which the background's shade changes: P(g*|x) is 0.9, 0.5, 0.1, ..."""
@@ -114,7 +119,7 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
     levels, achieved = levels[order], achieved[order]
     waypoints = path.waypoints.reshape(num, -1, scene.dim)[order]
     curves = path.trajectory(129).reshape(num, -1, scene.dim)[order]
-    colors = _REDS(_LABELS(levels))
+    colors = REDS(LABELS(levels))
     several = levels[0] < levels[-1]
     few = num <= 25
     lines: dict[str, Any] = {
@@ -124,17 +129,17 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
         "path_effects": HALO if few else None,
     }
 
-    with figure_file(file, _PAGE if several else 0.62 * _PAGE, 2.5) as figure:
+    with figure_file(file, PAGE if several else 0.62 * PAGE, 2.5) as figure:
         panels = _panels(
             figure, scene, 3 if several else 2, room=1.95, margin=1.5 if several else 0.8
         )
         axes = scene_axes(figure, panels[0], scene, target, curves, path.field)
-        _add_lines(axes, curves, **lines)
+        add_lines(axes, curves, **lines)
         if num <= 11:
             for points, color in zip(waypoints[:, 1:-1], colors, strict=True):
                 axes.plot(*points.T, "o", ms=2.2, mfc="white", mec=color, mew=0.7, zorder=5)
         if several:
-            bar = figure.colorbar(ScalarMappable(_LABELS, _REDS), ax=axes, aspect=24, pad=0.03)
+            bar = figure.colorbar(ScalarMappable(LABELS, REDS), ax=axes, aspect=24, pad=0.03)
             bar.set_ticks([-1, 0, 1], labels=["−1", "0", "1"])
             bar.set_label(r"legibility $\ell$", labelpad=0)
             bar.outline.set_visible(False)
@@ -150,7 +155,7 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
         panel.spines[:].set_zorder(5)
         progress = np.linspace(0, 1, curves.shape[1])
         beliefs = path.field.posterior(curves)[..., target]
-        _add_lines(panel, [np.stack([progress, row], axis=-1) for row in beliefs], **lines)
+        add_lines(panel, [np.stack([progress, row], axis=-1) for row in beliefs], **lines)
 
         if several:
             panel = figure.add_subplot(panels[2], title="asked and achieved")
@@ -161,7 +166,7 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
             )  # fmt: skip
             error = np.abs(achieved - levels).mean()
             panel.text(0.97, 0.04, f"mean error {error:.3f}", ha="right", transform=panel.transAxes)
-        _name_ends(figure, axes, scene, target, curves)
+        name_ends(figure, axes, scene, target, curves)
 
 
 def archive_figure(
@@ -194,21 +199,19 @@ def archive_figure(
     with figure_file(file, _COLUMN, 1.85) as figure:
         panels = _panels(figure, scene, 2, room=1.35, margin=0.6)
         axes = scene_axes(figure, panels[0], scene, target, trajectories)
-        _add_lines(
-            axes, trajectories[order], colors=_DIVERGING(_LABELS(labels[order])),
+        add_lines(
+            axes, trajectories[order], colors=_DIVERGING(LABELS(labels[order])),
             linewidths=float(np.clip(9 / num**0.5, 0.35, 1.2)), rasterized=num > 300,
         )  # fmt: skip
         panel = figure.add_subplot(panels[1], xlim=(-1, 1), xlabel=r"legibility $\ell$")
-        panel.bar(
-            centres, counts / len(everything), 1.7 / _BINS, color=_DIVERGING(_LABELS(centres))
-        )
+        panel.bar(centres, counts / len(everything), 1.7 / _BINS, color=_DIVERGING(LABELS(centres)))
         panel.axhline(1 / _BINS, color=_INK, lw=0.7, ls=_DASHED)
         panel.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
         panel.set_xticks((-1, 0, 1), ("−1", "0", "1"))
         panel.set_title(
             f"{len(everything):,} trajectories".replace(",", "\N{NARROW NO-BREAK SPACE}")
         )
-        _name_ends(figure, axes, scene, target, trajectories)
+        name_ends(figure, axes, scene, target, trajectories)
 
 
 def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
@@ -245,7 +248,7 @@ def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
         right.set(xlim=(-1, 1), xticks=(-1, 0, 1), xlabel=r"asked $\ell$")
         right.set_title(error)
         right.set_ylabel(r"$|$achieved − asked$|$")
-        _add_lines(
+        add_lines(
             left, [np.stack([levels, row], axis=-1) for row in achieved], linewidths=0.4, zorder=1,
             colors=to_rgba(_INK, float(np.clip(12 / len(achieved), 0.06, 0.5))),
             rasterized=len(achieved) > 300,
@@ -357,7 +360,7 @@ def flat(axes: Any, points: Array) -> Array:
     return np.stack(proj3d.proj_transform(x, y, z, axes.get_proj())[:2], axis=-1)
 
 
-def _name_ends(figure: Figure, axes: Any, scene: Scene, target: int, curves: Array) -> None:
+def name_ends(figure: Figure, axes: Any, scene: Scene, target: int, curves: Array) -> None:
     """Write "start" and "target" beside their marks, where they hide least of the rest."""
     figure.draw_without_rendering()  # the layout settles, so that the room is known
     point, dim = figure.dpi / 72, scene.dim  # pixels of a point
@@ -389,7 +392,7 @@ def _name_ends(figure: Figure, axes: Any, scene: Scene, target: int, curves: Arr
         other = centres[best]
 
 
-def _add_lines(axes: Any, curves: ArrayLike, **options: Any) -> None:
+def add_lines(axes: Any, curves: ArrayLike, **options: Any) -> None:
     """`curves (N, T, D)` as one collection."""
     curves = np.asarray(curves)
     kind = LineCollection if curves.shape[-1] == 2 else Line3DCollection

@@ -11,10 +11,10 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from matplotlib import style
+from matplotlib import rcParams, style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
@@ -26,6 +26,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
 
+from ..checks import Array
 from ..colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
 from ..execution import Rollout
@@ -49,6 +50,7 @@ _DPI = {".gif": 110, ".mp4": 200}
 _EXACT = 48
 _KEYS = 5
 _DOTTED = (0, (1, 2))
+_TUBE = 0.0035
 _HOLD = 1.5
 """How long a film stands still at its end [s]."""
 
@@ -86,7 +88,7 @@ def execution_figure(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
     check_number(len(rollouts))
     layout = _Layout(len(rollouts), rollouts[0].path.scene)
     with figure_file(file, *layout.size) as figure:
-        stage = _Stage(figure, layout, rollouts)
+        stage = _Stage(figure, layout, rollouts, rcParams["savefig.dpi"])
         stage.show(stage.last)
 
 
@@ -114,7 +116,7 @@ def execution_film(
     write = _write_gif if suffix == ".gif" else _write_mp4
     with style.context(["default", STYLE]), atomic_path(file) as temporary:
         figure = Figure(layout.size, dpi=_DPI[suffix])
-        stage = _Stage(figure, layout, rollouts)
+        stage = _Stage(figure, layout, rollouts, figure.dpi)
         write(temporary, *stage.frames(progress), rollouts[0].step_seconds)
 
 
@@ -144,7 +146,9 @@ class _Layout:
 class _Stage:
     """The axes of all motions, and how they look at a time."""
 
-    def __init__(self, figure: Figure, layout: _Layout, rollouts: Sequence[Rollout]) -> None:
+    def __init__(
+        self, figure: Figure, layout: _Layout, rollouts: Sequence[Rollout], dpi: float
+    ) -> None:
         self.figure = figure
         self.last = max(len(rollout.actions) for rollout in rollouts)
         path = rollouts[0].path
@@ -168,11 +172,13 @@ class _Stage:
                 panel.set_ylabel("belief $P(g|x_t)$")
             else:
                 panel.tick_params(labelleft=False)
-            axes = scene_axes(
-                figure, cells[5 * row + 1, 2 * column + 1], path.scene, path.target,
-                rollout.states[None], blocks=1.6,
-            )  # fmt: skip
-            self.motions.append(_Motion(axes, panel, rollout, self.colors))
+            cell = cells[5 * row + 1, 2 * column + 1]
+            view = (
+                _ArmView(figure, cell, rollout, dpi)
+                if rollout.joint_angles.size
+                else _DrawnView(figure, cell, rollout)
+            )
+            self.motions.append(_Motion(view, panel, rollout, self.colors))
         self._add_key(layout, path.target)
 
     def _add_key(self, layout: _Layout, target: int) -> None:
@@ -232,9 +238,9 @@ class _Stage:
 class _Motion:
     """One motion and the belief under it."""
 
-    def __init__(self, axes: Any, panel: Any, rollout: Rollout, colors: list[str]) -> None:
-        path, target = rollout.path, rollout.path.target
-        self.states = flat(axes, rollout.states)
+    def __init__(self, view: _View, panel: Any, rollout: Rollout, colors: list[str]) -> None:
+        target = rollout.path.target
+        self.view = view
         self.beliefs = rollout.posterior
         self.last = len(rollout.actions)
         self.seconds = rollout.step_seconds
@@ -247,53 +253,33 @@ class _Motion:
         achieved = f"{round(rollout.achieved, 2) + 0:.2f}"  # + 0: never −0.00
         ended = "" if rollout.success else f", {rollout.reason}"
         title = rf"$\ell$ = {rollout.legibility:g}" + f"\nachieved {achieved}{ended}"
-        axes.set_title(title.replace("-", "−"))
+        view.axes.set_title(title.replace("-", "−"))
         self.label = panel.set_title("", fontsize=7, pad=2)
         panel.axhline(CONFIDENT, color=MUTED, lw=0.6, ls=_DOTTED, zorder=0)
-        # A film draws these anew too, so that trails stay below them.
-        front = [artist for artist in axes.get_children() if artist.get_zorder() > 5]
-
-        def add(artist: Any, to: Any = axes) -> Any:
-            to.add_artist(artist).set_clip_on(False)
-            return artist
-
-        planned = flat(axes, path.trajectory(129))
-        self.halo = add(Line2D([], [], color="white", lw=3.2, zorder=4))
-        self.trail = add(_Trail([], linewidths=2, capstyle="round", zorder=4.1))
-        plan = add(Line2D(*planned.T, color=INK, lw=0.7, ls=_DOTTED, zorder=4.2))
-        self.robot = add(
-            Line2D([], [], marker="o", ms=4.5, color=INK, mec="white", mew=0.6, zorder=10)
-        )
         self.lines = [
-            add(Line2D([], [], color=color, lw=1.8 if goal == target else 1.1,
-                       zorder=5 if goal == target else 4), panel)
+            _add(Line2D([], [], color=color, lw=1.8 if goal == target else 1.1,
+                        zorder=5 if goal == target else 4), panel)
             for goal, color in enumerate(colors)
         ]  # fmt: skip
         at = slice(self.clear, self.clear + 1)
-        self.spot = add(_diamond(*self.states[at].T))
-        self.moment = add(_diamond(self.times[at], self.beliefs[at, target]), panel)
-        self.shade = add(
+        self.moment = _add(_diamond(self.times[at], self.beliefs[at, target]), panel)
+        self.shade = _add(
             Rectangle((self.clear * self.seconds, -0.04), 0, 1.1, color=colors[target], alpha=0.15,
                       lw=0, zorder=1), panel,
         )  # fmt: skip
         self.moving = sorted(
-            [*front, self.halo, self.trail, plan, self.spot, self.robot, self.shade, *self.lines,
-             self.moment, self.label],
+            [*view.moving, self.shade, *self.lines, self.moment, self.label],
             key=lambda artist: artist.get_zorder(),
-        )  # fmt: skip
+        )
 
     def show(self, step: int) -> None:
         """How it looks after `step` control steps."""
         step = min(step, self.last)
-        seen = self.states[: step + 1]
-        self.halo.set_data(*seen.T)
-        self.trail.set_segments(np.stack([seen[:-1], seen[1:]], axis=1))
-        self.trail.set_color(self.tints[:step])
-        self.robot.set_data(*seen[-1:].T)
+        clear = step >= self.clear
+        self.view.show(step, self.tints[:step], self.clear if clear else None)
         for goal, line in enumerate(self.lines):
             line.set_data(self.times[: step + 1], self.beliefs[: step + 1, goal])
-        clear = step >= self.clear
-        for artist in (self.spot, self.moment, self.shade):
+        for artist in (self.moment, self.shade):
             artist.set_visible(clear)
         self.shade.set_width(max(0, step - self.clear) * self.seconds)
         if clear:
@@ -301,6 +287,94 @@ class _Motion:
             self.label.set_text(f"clear {after}")
         else:
             self.label.set_text("never clear" if step == self.last else "")
+
+
+class _View(Protocol):
+    """The scene with a motion in it."""
+
+    axes: Any
+    moving: list[Any]
+    """Artists that a film draws anew."""
+
+    def show(self, step: int, tints: Array, clear: int | None) -> None:
+        """How it looks after `step` control steps.
+
+        Args:
+            step: how many.
+            tints: `(step, 3)`, colours of the way so far.
+            clear: from which step on the intent is clear, if it is.
+        """
+        ...
+
+
+class _DrawnView:
+    """A point moves in a drawing of the scene."""
+
+    def __init__(self, figure: Figure, cell: Any, rollout: Rollout) -> None:
+        path = rollout.path
+        axes = scene_axes(figure, cell, path.scene, path.target, rollout.states[None], blocks=1.6)
+        self.axes, self.states = axes, flat(axes, rollout.states)
+        # A film draws these anew too, so that trails stay below them.
+        front = [artist for artist in axes.get_children() if artist.get_zorder() > 5]
+        planned = flat(axes, path.trajectory(129))
+        self.halo = _add(Line2D([], [], color="white", lw=3.2, zorder=4), axes)
+        self.trail = _add(_Trail([], linewidths=2, capstyle="round", zorder=4.1), axes)
+        plan = _add(Line2D(*planned.T, color=INK, lw=0.7, ls=_DOTTED, zorder=4.2), axes)
+        self.robot = _add(
+            Line2D([], [], marker="o", ms=4.5, color=INK, mec="white", mew=0.6, zorder=10), axes
+        )
+        self.spot = _add(_diamond([], []), axes)
+        self.moving = [*front, self.halo, self.trail, plan, self.spot, self.robot]
+
+    def show(self, step: int, tints: Array, clear: int | None) -> None:
+        """See `_View`."""
+        seen = self.states[: step + 1]
+        self.halo.set_data(*seen.T)
+        self.trail.set_segments(np.stack([seen[:-1], seen[1:]], axis=1))
+        self.trail.set_color(tints)
+        self.robot.set_data(*seen[-1:].T)
+        self.spot.set_visible(clear is not None)
+        if clear is not None:
+            self.spot.set_data(*self.states[clear : clear + 1].T)
+
+
+class _ArmView:
+    """An arm moves in a picture of the table, rendered for `dpi` pixels an inch."""
+
+    def __init__(self, figure: Figure, cell: Any, rollout: Rollout, dpi: float) -> None:
+        self.rollout = rollout
+        self.axes = figure.add_subplot(cell)
+        self.axes.set_axis_off()
+        box = self.axes.get_position()
+        width, height = figure.get_size_inches() * (box.width, box.height) * dpi
+        self.size = round(width), round(height)
+        picture = np.zeros((self.size[1], self.size[0], 3), dtype=np.uint8)
+        self.image = self.axes.imshow(picture, aspect="auto", zorder=1)
+        self.moving = [self.image]
+
+    def show(self, step: int, tints: Array, clear: int | None) -> None:
+        """See `_View`."""
+        from ..envs.panda_render import arm_image
+
+        path, states = self.rollout.path, self.rollout.states
+        pieces = zip(states[:step], states[1 : step + 1], tints, strict=True)
+        trails = [(np.stack([a, b]), (*tint, 1.0), _TUBE) for a, b, tint in pieces]
+        planned = path.trajectory(65)
+        trails += [
+            (planned[i : i + 2], (*to_rgb(INK), 1.0), _TUBE / 3)
+            for i in range(0, len(planned) - 1, 2)
+        ]
+        if clear is not None:
+            trails.append((states[[clear, clear]], (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
+        self.image.set_data(
+            arm_image(path.scene, path.target, self.rollout.joint_angles[step], trails=trails,
+                      size=self.size)
+        )  # fmt: skip
+
+
+def _add(artist: Any, axes: Any) -> Any:
+    axes.add_artist(artist).set_clip_on(False)
+    return artist
 
 
 class _Trail(LineCollection):

@@ -1,0 +1,322 @@
+"""The paper's simulator: its interface is the other arm's, its episodes repeat to the bit."""
+
+import copy
+import gc
+import itertools
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from legibility import Scene
+from legibility.envs import pandagym
+from legibility.envs.arm import JOINT_LIMITS, ArmVector
+from legibility.envs.guard import safe_actions
+from legibility.envs.pandagym import PandaGymBlockReach, PandaGymBlockReachVector
+from legibility.errors import InvalidInputError, InvalidSceneError, MissingExtraError
+from legibility.scene import DEFAULT_WORKSPACE
+
+pytest.importorskip(
+    "panda_gym", reason="panda-gym is NOT TESTED: pip install 'legibility[pandagym]' (Python 3.11)"
+)
+
+ID = "legibility/PandaGymBlockReach-v0"
+LOW, HIGH = np.array(DEFAULT_WORKSPACE[3])
+SCENE = Scene([-0.2, -0.1, 0.3], [[0, 0.15, 0.02], [0, -0.1, 0.06]])
+
+seeds = st.integers(0, 2**32 - 1)
+rough = st.fixed_dictionaries(
+    {},
+    optional={
+        "noise": st.floats(0, 0.01),
+        "push": st.floats(0, 0.2),
+        "shift": st.floats(0, 0.2),
+        "num_goals": st.integers(2, 6),
+    },
+)
+
+
+def equal(first, second):
+    """Whether two observations, infos, or tuples of them are the same to the bit."""
+    if isinstance(first, dict):
+        return first.keys() == second.keys() and all(equal(first[k], second[k]) for k in first)
+    if isinstance(first, tuple):
+        return len(first) == len(second) and all(map(equal, first, second))
+    return np.array_equal(first, second)
+
+
+def row(values, index):
+    """One environment of what a vector returned."""
+    if isinstance(values, tuple):
+        return tuple(row(value, index) for value in values)
+    if isinstance(values, dict):
+        return {name: value[index] for name, value in values.items()}
+    return values[index]
+
+
+def toward(env):
+    targets = np.stack([s.goals[t] for s, t in zip(env.scenes, env.targets, strict=True)])
+    return safe(env, 1.2 * (targets - env.positions))
+
+
+def safe(env, actions):
+    return safe_actions(
+        actions, env.positions, env.velocities, env.workspace, env.max_displacement,
+        env.lag_range[1],
+    )  # fmt: skip
+
+
+def played(env, seed, steps=30, options=None):
+    """All that an episode shows."""
+    results = [env.reset(seed=seed, options=options)]
+    return tuple(results + [env.step(toward(env)) for _ in range(steps)])
+
+
+class FakeWindow:
+    def __init__(self, image, interval):
+        assert interval == pytest.approx(0.04)
+
+    def show(self, image):
+        assert image.shape == (480, 480, 3)
+
+    def close(self): ...
+
+
+@pytest.fixture(scope="module")
+def world():
+    return pandagym._World()
+
+
+class TestGymnasium:
+    @pytest.mark.filterwarnings("error")
+    def test_check_env(self):
+        check_env(gymnasium.make(ID).unwrapped, skip_render_check=True)
+        check_env(gymnasium.make(ID, max_goals=3, render_mode="rgb_array").unwrapped,
+                  skip_render_check=True)  # fmt: skip
+
+    @pytest.mark.filterwarnings("error")
+    def test_make_vec(self):
+        env = gymnasium.make_vec(ID, num_envs=2)
+        assert isinstance(env, PandaGymBlockReachVector)
+        observation, _ = env.reset(seed=3)
+        assert observation in env.observation_space
+        for _ in range(3):
+            observation, *rest, info = env.step(env.action_space.sample())
+            assert observation in env.observation_space
+            assert [x.shape for x in (*rest, info["distance"])] == [(2,)] * 4
+        env.close()
+        env.close()
+        with pytest.raises(InvalidInputError, match="the environment is closed"):
+            env.reset()
+
+    def test_interface_of_an_arm(self):
+        env = PandaGymBlockReach()
+        assert env.action_space == gymnasium.spaces.Box(-0.02, 0.02, (3,), np.float64)
+        shapes = {name: space.shape for name, space in env.observation_space.items()}
+        assert shapes == {"position": (3,), "goals": (6, 3), "present": (6,), "target": ()}
+        _, info = env.reset(seed=0)
+        assert set(info) == {
+            "is_success", "distance", "speed", "wall_contact", "disturbed", *ArmVector.counted,
+        }  # fmt: skip
+
+    def test_same_interface_in_mujoco(self):
+        pytest.importorskip("mujoco", reason="MuJoCo is NOT TESTED: the extra panda is missing")
+        panda = pytest.importorskip("legibility.envs.panda")
+        ours, theirs = PandaGymBlockReach(), panda.PandaBlockReach()
+        assert ours.observation_space == theirs.observation_space
+        assert ours.action_space == theirs.action_space
+        first, second = (e.reset(seed=0, options={"scene": SCENE}) for e in (ours, theirs))
+        for one, other in zip(first, second, strict=True):
+            assert {k: type(v) for k, v in one.items()} == {k: type(v) for k, v in other.items()}
+        assert first[0]["position"] == pytest.approx(second[0]["position"], abs=1e-3)
+
+    def test_pictures(self):
+        env = PandaGymBlockReachVector(2, render_mode="rgb_array")
+        other = PandaGymBlockReachVector(2)
+        for each in (env, other):
+            each.reset(seed=0, options={"scene": [SCENE, None]})
+        before = env.render()
+        for picture in before:
+            assert picture.dtype == np.uint8
+            assert picture.shape == (480, 480, 3)
+        assert (before[0] != before[1]).any()
+        red, green = (_share_of(before[0], color) for color in ((193, 18, 31), (0, 158, 115)))
+        assert 0.0005 < red < 0.02
+        assert 0.0005 < green < 0.02
+        for _ in range(3):  # looking changes nothing
+            actions = toward(env)
+            assert equal(env.step(actions), other.step(actions))
+        assert (env.render()[0] != before[0]).any()
+        env.reset(seed=0, options={"scene": [SCENE, None]})
+        assert np.array_equal(env.render()[0], before[0])
+        assert other.render() is None
+
+    def test_nothing_is_printed(self):
+        code = (
+            "from legibility.envs.pandagym import PandaGymBlockReachVector as E; e = E(1); E(1);"
+            "e.reset(seed=0); print('done')"
+        )
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert (found.returncode, found.stdout, found.stderr) == (0, "done\n", "")
+
+    def test_copies(self):
+        for env in (PandaGymBlockReach(), PandaGymBlockReachVector(1)):
+            with pytest.raises(InvalidInputError, match="cannot be copied"):
+                copy.deepcopy(env)
+
+    def test_missing(self, monkeypatch):
+        for module in ("panda_gym", "panda_gym.pybullet", "panda_gym.envs.robots.panda"):
+            monkeypatch.setitem(sys.modules, module, None)
+        monkeypatch.setattr(pandagym, "_IDLE", [])
+        with pytest.raises(MissingExtraError, match=r"pip install 'legibility\[pandagym\]'$"):
+            PandaGymBlockReach()
+        monkeypatch.setattr(sys, "version_info", (3, 13, 0))
+        with pytest.raises(MissingExtraError, match=r"up to Python 3\.11 only, this is 3\.13$"):
+            PandaGymBlockReach()
+
+
+def _share_of(picture, color):
+    """The share of pixels whose hue is that of `color`, in light or shade."""
+    pixels = picture / np.maximum(picture.sum(-1, keepdims=True), 1)
+    return (np.abs(pixels - np.array(color) / sum(color)).max(-1) < 0.03).mean()
+
+
+class TestEpisodes:
+    @settings(max_examples=4)
+    @given(seeds, seeds, rough)
+    def test_same_seed_same_bits_whatever_was_before(self, seed, other, options):
+        env = PandaGymBlockReachVector(1)
+        first = played(env, seed, options=options)
+        played(env, other)
+        assert equal(first, played(env, seed, options=options))
+        assert equal(first, played(PandaGymBlockReachVector(1), seed, options=options))
+
+    @settings(max_examples=3)
+    @given(seeds, rough)
+    def test_a_vector_is_so_many_single_ones(self, seed, options):
+        many = PandaGymBlockReachVector(2, max_episode_steps=25)
+        results = [many.reset(seed=seed, options=options)]
+        plan = []
+        for _ in range(20):
+            plan.append(toward(many))
+            results.append(many.step(plan[-1]))
+        for i in range(2):
+            one = PandaGymBlockReach()
+            assert equal(one.reset(seed=seed + i, options=options), row(results[0], i))
+            for actions, result in zip(plan, results[1:], strict=True):
+                assert equal(one.step(actions[i]), row(result, i))
+
+    def test_contact_leaves_no_trace(self, world):
+        world.place(LOW)
+        before = [world.place(SCENE.start), *(world.drive(LOW, 20) for _ in range(5))]
+        world.place(np.array([-0.1, 0, 0.02]))
+        pressed = [world.drive(np.array([-0.1, 0, -0.03]), 20)[1][0] for _ in range(4)]
+        assert pressed[-1] == 20
+        after = [world.place(SCENE.start), *(world.drive(LOW, 20) for _ in range(5))]
+        assert equal(before[0], after[0])
+        assert all(
+            np.array_equal(b[0], a[0]) and b[1] == a[1]
+            for b, a in zip(before[1:], after[1:], strict=True)
+        )
+
+    def test_worlds_are_used_again(self, monkeypatch):
+        monkeypatch.setattr(pandagym, "_IDLE", [])
+        env = PandaGymBlockReachVector(2)
+        worlds = {id(world) for world in env._worlds}
+        env.close()
+        env.close()
+        other = PandaGymBlockReachVector(2)
+        assert {id(world) for world in other._worlds} == worlds
+        del other
+        gc.collect()
+        assert {id(world) for world in pandagym._IDLE} == worlds
+
+    def test_success(self):
+        env = PandaGymBlockReachVector(2)
+        env.reset(seed=1, options={"scene": SCENE, "target": [0, 1]})
+        for _ in range(60):
+            env.step(toward(env))
+        assert env.success.all()
+        assert not any(number.any() for number in env.counts.values())
+
+    @pytest.mark.parametrize(("options", "error", "message"), [
+        ({"gain": 0.7}, InvalidInputError, "unknown"),
+        ({"scene": Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])}, InvalidSceneError,
+         "must be 3-D here, got 2-D"),
+        ({"scene": Scene([0, 0, 0.2], [[0, 0, 0.1], [0, 0.1, 0.1]], [[-1] * 3, [1] * 3])},
+         InvalidSceneError, "workspace must be"),
+    ])  # fmt: skip
+    def test_bad_options(self, options, error, message):
+        with pytest.raises(error, match=message):
+            PandaGymBlockReach().reset(options=options)
+
+
+class TestArm:
+    def test_every_corner_can_be_reached(self, world):
+        sides = (np.linspace(low, high, 4) for low, high in zip(LOW, HIGH, strict=True))
+        for position in np.array(list(itertools.product(*sides))):
+            found = world.place(position)
+            assert found == pytest.approx(position, abs=1e-4)
+            angles = world.joints()
+            assert (JOINT_LIMITS[0] + 0.02 < angles).all()
+            assert (angles < JOINT_LIMITS[1] - 0.02).all()
+            orientation = world.client.getLinkState(world.body, world.arm.ee_link)[1]
+            assert 2 * np.hypot(*orientation[1:3]) < 0.05  # a tilt of 3°
+            _, counted = world.drive(found, 20)
+            assert counted == [0, 0, 0, 0]
+            world.place(SCENE.start)
+            world.place(position)
+            assert np.array_equal(world.joints(), angles)
+
+    @settings(max_examples=5)
+    @given(seeds)
+    def test_safe_actions_are_safe(self, seed):
+        env = PandaGymBlockReachVector(1, max_episode_steps=1000)
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        for step in range(120):
+            if step % 12 == 0:  # far out of the workspace, as often as not
+                aim = rng.uniform(LOW - 0.2, HIGH + 0.2)
+            env.done[:] = False
+            observation, *_ = env.step(safe(env, aim - env.positions))
+            assert observation in env.observation_space
+            beyond = np.maximum(LOW - env.positions, env.positions - HIGH).max()
+            assert beyond < 0.025
+        assert not any(number.any() for number in env.counts.values())
+
+    @settings(max_examples=8)
+    @given(seeds, st.floats(0.004, 0.02))
+    def test_most_of_a_command_is_realised_and_stopping_is_quick(self, seed, size):
+        rng = np.random.default_rng(seed)
+        env = PandaGymBlockReachVector(1)
+        scene = Scene(rng.uniform(LOW + 0.07, HIGH - 0.07), SCENE.goals)
+        env.reset(seed=0, options={"scene": scene})
+        action = rng.standard_normal((1, 3))
+        action *= size / np.abs(action).max()
+        for _ in range(3):
+            before = env.positions.copy()
+            env.step(action)
+        moved = env.positions - before
+        assert 0.4 < (moved * action).sum() / (action**2).sum() < 1.05
+        before = env.positions.copy()
+        for _ in range(5):
+            env.step(np.zeros((1, 3)))
+        lag = env.lag_range[1]
+        assert np.linalg.norm(env.positions - before) < lag / (1 - lag) * np.linalg.norm(moved)
+
+    def test_what_is_counted(self, world):
+        world.place(np.array([-0.1, 0, 0.2]))
+        for joint, angle in enumerate(world.joints()):
+            world.client.resetJointState(world.body, joint, angle, 3.0)
+        assert world.drive(np.array([-0.1, 0, 0.2]), 20)[1][3] > 0
+        world.place(np.array([-0.1, 0, 0.2]))
+        world.set_joints(np.array([0, 0, 0, -3.06, 0, 1.5, 0.8]))
+        assert world.drive(np.array([-0.1, 0, 0.2]), 1)[1][1:3] == [1, 0]
+        world.place(np.array([-0.1, 0, 0.2]))
+        world.set_joints(np.array([2.95, 0.4, 0, -1.85, 0, 2.26, 0.8]))
+        assert world.drive(np.array([-0.1, 0, 0.2]), 1)[1][1:3] == [0, 1]
