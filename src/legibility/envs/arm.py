@@ -59,6 +59,11 @@ class ArmVector(BlockReachVector):
         wall = alive & ((wanted < low - 1e-9) | (wanted > high + 1e-9)).any(-1)
         targets = np.clip(wanted + noise, low, high)
         reached = self.positions.copy()
-        for i in np.flatnonzero(alive).tolist():
-            reached[i] = self._drive(i, targets[i])
+        if alive.any():
+            reached[alive] = self._drive_all(np.flatnonzero(alive), targets[alive])
         return reached, wall
+
+    def _drive_all(self, indices: NDArray, targets: Array) -> Array:
+        """`_drive` of the arms `indices (N,)` to `targets (N, D)` [m]; for who can do many."""
+        pairs = zip(indices.tolist(), targets, strict=True)
+        return np.array([self._drive(index, target) for index, target in pairs])

@@ -89,6 +89,7 @@ class PandaGymBlockReachVector(ArmVector):
         return np.array([world.joints() for world in self._worlds])
 
     def _draw_robot(self, rng: np.random.Generator, options: Mapping[str, Any]) -> dict[str, Any]:
+        rng.random(2)  # as many as the arm on MuJoCo draws: the same seed draws the same scene
         return {}
 
     def _begin(self, index: int, robot: dict[str, Any]) -> None: ...

@@ -1,0 +1,217 @@
+"""The block reaching task with a Franka Panda in MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import Array, bounded
+from .arm import JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
+from .block_reach import BlockReach
+from .panda_model import JOINT_MARGIN, Kinematics, Simulation
+
+__all__ = ["PandaBlockReach", "PandaBlockReachVector"]
+
+_SPEED_SHARE = 0.9
+"""How much of the joints' greatest speeds the reference may use."""
+
+_AHEAD = 0.01
+"""How far the reference may be ahead of a joint: what that goes at its greatest speed in [s]."""
+
+_SEGMENT = 4
+"""Physics steps between two looks at where the joints are."""
+
+
+class PandaBlockReachVector(ArmVector):
+    """Many `PandaBlockReach` at once; see there, and `BlockReachVector` for how they are stepped.
+
+    All share one model. MuJoCo runs the physics steps of all arms in one call, and whatever is
+    counted is looked for in each of these steps.
+    """
+
+    robot_options = ("response", "delay")
+    response_range = (0.012, 0.025)
+    delay_range = (0.0, 0.008)
+
+    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+        super().__init__(num_envs, **settings)
+        self._kinematics, self._simulation = Kinematics(), Simulation()
+        self._angles, self._speeds, self._command, self._reference = np.zeros((4, num_envs, 7))
+        self._response, self._delay = np.ones((2, num_envs))
+
+    @property
+    def joint_angles(self) -> Array:
+        """`(B, 7)` [rad]."""
+        return self._angles.copy()
+
+    @property
+    def responses(self) -> Array:
+        """`(B,)`, the hidden time constants [s]; for analyses."""
+        return self._response.copy()
+
+    @property
+    def delays(self) -> Array:
+        """`(B,)`, the hidden delays [s]; for analyses."""
+        return self._delay.copy()
+
+    def _draw_robot(self, rng: np.random.Generator, options: Mapping[str, Any]) -> dict[str, Any]:
+        ranges = {"response": self.response_range, "delay": self.delay_range}
+        drawn = {name: rng.uniform(*limits) for name, limits in ranges.items()}
+        return {
+            name: bounded(name, options.get(name, drawn[name]), *limits)
+            for name, limits in ranges.items()
+        }
+
+    def _begin(self, index: int, robot: dict[str, Any]) -> None:
+        self._response[index], self._delay[index] = robot["response"], robot["delay"]
+
+    def _place(self, index: int, position: Array) -> Array:
+        angles = self._kinematics.solve(position)
+        self._angles[index] = self._command[index] = self._reference[index] = angles
+        self._speeds[index] = 0
+        return self._kinematics.grasp_point(angles)
+
+    def _drive(self, index: int, target: Array) -> Array:
+        return self._drive_all(np.array([index]), target[None])[0]
+
+    def _drive_all(self, indices: NDArray[Any], targets: Array) -> Array:
+        pairs = zip(self._angles[indices], targets, strict=True)
+        wanted = np.array([angles + self._kinematics.step(angles, to) for angles, to in pairs])
+        wanted = np.clip(wanted, JOINT_LIMITS[0] + JOINT_MARGIN, JOINT_LIMITS[1] - JOINT_MARGIN)
+        for first in range(0, self.substeps, _SEGMENT):
+            reference = self._follow(indices, wanted, first)
+            angles, speeds, touched = self._simulation.run(
+                self._angles[indices], self._speeds[indices], reference[:, :-1]
+            )
+            self._reference[indices] = reference[:, -1]
+            self._angles[indices], self._speeds[indices] = angles[:, -1], speeds[:, -1]
+            self._count(indices, angles, speeds, touched)
+        self._command[indices] = wanted
+        return np.array([self._kinematics.grasp_point(angles) for angles in self._angles[indices]])
+
+    def _follow(self, indices: NDArray[Any], wanted: Array, first: int) -> Array:
+        """The joints' reference in the segment that begins with physics step `first`.
+
+        It follows the old command until the delay is over, then the new one, `wanted (N, 7)`
+        [rad]. It waits for joints that cannot keep up: one far behind would be pulled too fast.
+
+        Returns:
+            `(N, segment + 1, 7)` [rad], the last of it for when the segment is over.
+        """
+        period = 1 / self.metadata["render_fps"] / self.substeps
+        time = np.arange(_SEGMENT + 1) * period
+        delay = np.maximum(self._delay[indices, None] - first * period, 0)
+        angles, response = self._angles[indices], self._response[indices, None]
+        old, lead = self._command[indices], self._reference[indices] - angles
+        excess = (np.abs(lead) / (_AHEAD * VELOCITY_LIMITS)).max(axis=1, keepdims=True)
+        start = angles + lead / np.maximum(excess, 1)
+        turn = _approach(start, old, response, delay)[:, 0]
+        early = _approach(start, old, response, np.minimum(time, delay))
+        late = _approach(turn, wanted, response, np.maximum(time - delay, 0))
+        return np.where((time < delay)[..., None], early, late)
+
+    def _count(self, indices: NDArray[Any], angles: Array, speeds: Array, touched: Array) -> None:
+        low, high = JOINT_LIMITS
+        beyond = ((angles < low) | (angles > high)).any(axis=-1)
+        fast = (np.abs(speeds) > VELOCITY_LIMITS).any(axis=-1)
+        events = touched[..., 0], touched[..., 1], beyond, fast
+        for name, occurred in zip(self.counted, events, strict=True):
+            self.counts[name][indices] += occurred.sum(axis=1)
+
+    def _picture(self, index: int) -> NDArray[np.uint8]:
+        from .panda_render import arm_image
+
+        return arm_image(self.scenes[index], int(self.targets[index]), self._angles[index])
+
+
+def _approach(start: Array, goal: Array, response: Array, time: Array) -> Array:
+    """Where joints on their way are, `(N, T, 7)` [rad].
+
+    They approach the goal as a first-order system does, `x' = (goal − x) / τ`; all slow down alike
+    for the one that would be too fast.
+
+    Args:
+        start: `(N, 7)` [rad], where they are at time 0.
+        goal: `(N, 7)` [rad].
+        response: `(N, 1)` [s], τ.
+        time: `(N, T)` [s].
+    """
+    fastest = np.abs(goal - start) / (_SPEED_SHARE * VELOCITY_LIMITS * response)
+    excess = np.maximum(fastest.max(axis=1, keepdims=True), 1)
+    steady = (excess - 1) * response  # how long at the limit
+    left = np.where(
+        time < steady,
+        1 - time / (excess * response),
+        np.exp(-np.maximum(time - steady, 0) / response) / excess,
+    )
+    return goal[:, None] + left[..., None] * (start - goal)[:, None]
+
+
+class PandaBlockReach(BlockReach):
+    """A Franka Panda moves its gripper toward one of several coloured blocks, in MuJoCo.
+
+    ## Description
+    The arm stands on a table at x = −0.6 m. Blocks are 4 cm wide, lie on the table (z = 0) or are
+    stacked higher, and are markers that nothing touches: the grasp point between the fingertips can
+    reach their centres. It stays in x [−0.30, 0.10], y [−0.30, 0.30], z [0.02, 0.40], all in
+    metres. The gripper points down and does not turn; in the two upper corners farthest from the
+    base, beyond the arm's reach so, it leans back by up to 4.7°. The observer does not know which
+    block is meant; how the arm moves may tell.
+
+    ## Action Space
+    `Box(-0.02, 0.02, (3,), float64)`: a commanded displacement of the grasp point [m] for one
+    control step (0.04 s, 20 steps of the physics). Inverse kinematics by mink makes it a command to
+    the joints, 0.02 rad inside their limits. Their reference follows it as a first-order system of
+    time constant τ after a delay, at 90 % of Franka's joint speeds at most, all joints slowed down
+    alike; position servos with Franka's torques follow the reference. τ, uniform in [0.012, 0.025]
+    s, and the delay, uniform in [0, 0.008] s, are drawn for each episode and not observed. Of a
+    steady command 0.63 to 0.88 is realised in a control step, less of the largest.
+
+    ## Observation Space
+    A `Dict`:
+
+    * `position`: `Box((3,))` [m], the grasp point.
+    * `goals`: `Box((6, 3))` [m], the blocks' centres; rows beyond their number are 0.
+    * `present`: `MultiBinary(6)`, which rows are blocks.
+    * `target`: `Discrete(6)`, index of the block that is meant.
+
+    ## Rewards
+    Minus the distance to the target [m].
+
+    ## Starting State
+    A scene of `Scene.random`: 2 to 6 blocks on the table or stacked up to z = 0.16, the start
+    anywhere, all at least 0.12 of the diagonal apart. The arm is at rest, its posture that of the
+    position: the elbow above, no matter what was before.
+
+    ## Episode End
+    * Termination: success. The grasp point is within 0.02 m of the target's centre and moved by at
+      most 0.004 m in this step, so it is at rest or passes slowly (0.1 m/s). The step of a push or
+      a shift is no success yet.
+    * Truncation: 400 steps.
+
+    `info` has `is_success`, `distance` [m], `speed` [m/s], `wall_contact` (the command would have
+    left the workspace and was stopped at its wall), `disturbed` (a push or a shift in this step),
+    and how many steps of the physics so far had each of these: `table_contacts`, `self_collisions`,
+    `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
+
+    ## Arguments
+    `reset(seed=…, options={…})` takes
+
+    * `scene`: a `Scene` in the default workspace; drawn if not given.
+    * `target`: index of the goal that is meant; 0 if not given.
+    * `num_goals`: of a scene that is drawn; 2 to 6 if not given.
+    * `noise`: standard deviation [m] of each step's displacement; 0 if not given.
+    * `push`: once half the straight line's length is travelled, the arm is at rest so much [m]
+      further in a random direction, at most at the wall; 0 if not given.
+    * `shift`: the same of the target block; it stays if another is in its place.
+    * `response`, `delay`: τ [s] and the delay [s], to fix what is otherwise drawn.
+
+    ## Version History
+    * v0: the first.
+    """
+
+    batch_type = PandaBlockReachVector
+    metadata = {**BlockReach.metadata, "render_fps": 25}  # noqa: RUF012

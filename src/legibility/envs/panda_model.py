@@ -1,0 +1,189 @@
+"""The Franka Panda in MuJoCo: how it is built and how its joints reach a point."""
+
+from __future__ import annotations
+
+import functools
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..checks import Array
+from ..errors import InvalidInputError, MissingExtraError
+from .arm import BASE, HOME
+
+__all__ = ["JOINT_MARGIN", "Kinematics", "Simulation", "import_mujoco", "physics", "specification"]
+
+_XML = Path(__file__).with_name("panda.xml")
+
+_SHOULDER = np.array([BASE[0], BASE[1], BASE[2] + 0.333])
+_WRIST = np.array([-0.088, 0.1034 + 0.107])
+"""From the grasp point to the wrist, away from the base and up, of a gripper that points down."""
+
+_REACH = 0.71
+"""How far from the shoulder the wrist may be [m]; stretched out it would be 0.719."""
+
+JOINT_MARGIN = 0.02
+"""How far joints are kept from their limits [rad]."""
+
+_TOLERANCE = 1e-7
+
+
+def import_mujoco() -> Any:
+    """MuJoCo, which is loaded only when it is needed."""
+    try:
+        import mujoco
+    except ModuleNotFoundError as cause:
+        raise MissingExtraError(
+            f"{cause.name} is not installed: pip install 'legibility[panda]'"
+        ) from cause
+    except Exception as cause:
+        backend = os.environ.get("MUJOCO_GL")
+        if backend is None:
+            raise
+        raise InvalidInputError(
+            f"MuJoCo cannot be loaded with MUJOCO_GL={backend} ({cause}); unset it, or set what "
+            "is installed: egl, osmesa or glfw"
+        ) from cause
+    return mujoco
+
+
+def import_mink() -> Any:
+    """mink, MuJoCo's inverse kinematics."""
+    import_mujoco()  # what is wrong with it is said better there
+    try:
+        import mink
+    except ImportError as cause:
+        raise MissingExtraError("mink is not installed: pip install 'legibility[panda]'") from cause
+    return mink
+
+
+def specification() -> Any:
+    """The arm on its table, as MuJoCo's `MjSpec`: geoms of group 3 touch, those of 2 are seen."""
+    return import_mujoco().MjSpec.from_file(str(_XML))
+
+
+@functools.cache
+def physics() -> Any:
+    """The arm on its table as an `MjModel` of primitive shapes; nobody changes it."""
+    spec = specification()
+    for geom in list(spec.geoms):
+        if geom.group == 2:
+            spec.delete(geom)
+    return spec.compile()
+
+
+class Kinematics:
+    """Where the joints put the grasp point, and how the joints put it elsewhere.
+
+    A quadratic programme of mink's: the grasp point goes to a target, the gripper stays down and
+    does not turn, the elbow stays above (joint 3 at 0), all joints stay within their limits. So a
+    position has one posture, however the arm comes there.
+    """
+
+    def __init__(self) -> None:
+        mink, model = import_mink(), physics()
+        self._mujoco, self._build = import_mujoco(), mink.build_ik
+        self._configuration = mink.Configuration(model)
+        self._site = model.site("grasp").id
+        self._frame = mink.FrameTask("grasp", "site", position_cost=1.0, orientation_cost=0.2)
+        cost = np.where(np.arange(7) == 2, 1e-2, 1e-5)
+        self._elbow, self._rest = (mink.PostureTask(model, cost, gain=g) for g in (0.3, 1.0))
+        for task in (self._elbow, self._rest):
+            task.set_target(HOME)
+        self._limits = [mink.ConfigurationLimit(model, 1.0, min_distance_from_limits=JOINT_MARGIN)]
+        self._pose = mink.SE3(np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+
+    def __reduce__(self) -> tuple[type[Kinematics], tuple[()]]:
+        return Kinematics, ()
+
+    def grasp_point(self, angles: Array) -> Array:
+        """Where the grasp point is, `(3,)` [m], of `angles (7,)` [rad]."""
+        data = self._configuration.data
+        data.qpos = angles
+        self._mujoco.mj_kinematics(self._configuration.model, data)
+        return data.site_xpos[self._site].copy()
+
+    def step(self, angles: Array, target: Array) -> Array:
+        """How far the joints must go from `angles` to put the grasp point there, `(7,)` [rad]."""
+        self._aim(target)
+        return self._solve(angles, self._elbow)
+
+    def solve(self, target: Array) -> Array:
+        """Angles `(7,)` [rad] that put the grasp point at `target`, found from `HOME`."""
+        self._aim(target)
+        angles = HOME.copy()
+        for _ in range(100):
+            step = self._solve(angles, self._rest)
+            angles += step * min(1.0, 0.3 / max(np.abs(step).max(), 1e-12))
+            if np.abs(step).max() < _TOLERANCE:
+                break
+        return angles
+
+    def _aim(self, target: Array) -> None:
+        self._pose.wxyz_xyz[:4] = _orientation(target)
+        self._pose.wxyz_xyz[4:] = target
+        self._frame.set_target(self._pose)
+
+    def _solve(self, angles: Array, posture: Any) -> Array:
+        self._configuration.update(angles)
+        problem = self._build(
+            self._configuration, [self._frame, posture], dt=1.0, limits=self._limits
+        )
+        # Within its limits, as nearly always, the programme's minimum is that without them.
+        step = np.linalg.solve(problem.P, -problem.q)
+        if (problem.G @ step <= problem.h).all():
+            return step
+        import qpsolvers
+
+        found = qpsolvers.solve_problem(problem, solver="daqp").x
+        return np.zeros_like(angles) if found is None else found
+
+
+class Simulation:
+    """MuJoCo's physics of many arms, one after the other; it remembers nothing between calls."""
+
+    def __init__(self) -> None:
+        mujoco, self._model = import_mujoco(), physics()
+        from mujoco import rollout
+
+        self._data = mujoco.MjData(self._model)
+        self._rollout: Any = rollout.Rollout(nthread=0)
+        self._size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+
+    def __reduce__(self) -> tuple[type[Simulation], tuple[()]]:
+        return Simulation, ()
+
+    def run(self, angles: Array, speeds: Array, controls: Array) -> tuple[Array, Array, Array]:
+        """The next physics steps.
+
+        Args:
+            angles: `(B, 7)` [rad].
+            speeds: `(B, 7)` [rad/s].
+            controls: `(B, T, 7)` [rad], where the motors pull to in each step.
+
+        Returns:
+            Angles and speeds after each step `(B, T, 7)`, and whether the arm touched the
+            table and itself when the step began, `(B, T, 2)` bool.
+        """
+        start = np.zeros((len(angles), self._size))
+        start[:, 1:8], start[:, 8:15] = angles, speeds
+        states, sensors = self._rollout.rollout(self._model, self._data, start, controls)
+        return states[..., 1:8], states[..., 8:15], sensors > 0
+
+
+def _orientation(target: Array) -> Array:
+    """The gripper's orientation in the world at `target`, a quaternion `(4,)` (w, x, y, z).
+
+    It points down, its x axis along the world's. Where the arm could not reach so far, it leans
+    back toward the base just as much as it must.
+    """
+    x, y, z = target - _SHOULDER
+    radius = np.hypot(x, y)
+    distance, arm = np.hypot(radius, z), np.hypot(*_WRIST)
+    # |target + wrist, turned by the lean − shoulder| = reach, by the law of cosines.
+    cosine = (_REACH**2 - distance**2 - arm**2) / (2 * distance * arm)
+    lean = np.arccos(np.clip(cosine, -1, 1)) - np.arctan2(_WRIST[1], _WRIST[0])
+    lean = max(0.0, lean + np.arctan2(z, radius)) / 2
+    return np.array([-np.sin(lean) * y / radius, np.cos(lean), 0.0, np.sin(lean) * x / radius])

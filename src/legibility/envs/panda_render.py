@@ -1,0 +1,450 @@
+"""The picture of the Franka Panda at its table, with blocks and trajectories as tubes."""
+
+from __future__ import annotations
+
+import ctypes.util
+import functools
+import importlib
+import importlib.util
+import os
+import threading
+import warnings
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageColor, ImageDraw
+
+from ..checks import Array, count
+from ..colors import GOALS, INK
+from ..errors import InvalidInputError
+from ..scene import Scene
+from .panda_model import import_mujoco, physics, specification
+
+__all__ = ["BLOCK", "Camera", "Trail", "arm_image"]
+
+BLOCK = 0.04
+"""Edge of a block [m]."""
+
+_STACK, _RING = (0.80, 0.80, 0.79), 0.75 * BLOCK * 2**0.5
+_SMOOTH = 2
+_FINE = 3
+_MAX_SHAPES = 5_000
+
+
+class Camera(NamedTuple):
+    """Where a picture is taken from.
+
+    Attributes:
+        azimuth: of the view's direction [degrees].
+        elevation: of the view's direction; negative looks down [degrees].
+        distance: from `lookat` [m].
+        lookat: the middle of the picture [m].
+        angle: what the picture takes in from top to bottom [degrees].
+    """
+
+    azimuth: float = 140.0
+    elevation: float = -22.0
+    distance: float = 2.2
+    lookat: tuple[float, float, float] = (-0.25, 0.0, 0.25)
+    angle: float = 30.0
+
+
+class Trail(NamedTuple):
+    """A trajectory as a tube.
+
+    Attributes:
+        points: `(T, 3)` [m].
+        rgba: its colour, four shares of 1.
+        radius: of the tube [m].
+    """
+
+    points: Array
+    rgba: Sequence[float]
+    radius: float = 0.004
+
+
+class _Shape(NamedTuple):
+    """A box of half edges `size` or, from `centre` to `end`, a tube of radius `size[0]`."""
+
+    centre: Array
+    size: tuple[float, ...]
+    rgba: tuple[float, ...]
+    end: Array | None = None
+
+
+def arm_image(
+    scene: Scene,
+    target: int | None,
+    angles: Array,
+    *,
+    trails: Iterable[Trail | tuple[Array, Sequence[float], float]] = (),
+    size: tuple[int, int] = (480, 480),
+    camera: Camera = Camera(),  # noqa: B008 (immutable)
+) -> NDArray[np.uint8]:
+    """The arm among a scene's blocks, `(H, W, 3)`.
+
+    A block has the colour of its index, a ring lies around the target, what carries a block is
+    grey. Without OpenGL it is a plain drawing, and a warning says so once.
+
+    Args:
+        scene: the scene as it is now.
+        target: index of the goal that is meant, if it is to be marked.
+        angles: `(7,)` [rad], of the arm's joints.
+        trails: trajectories drawn as tubes, 5000 points in all at most.
+        size: width and height [pixels].
+        camera: where it is taken from.
+    """
+    width, height = (
+        count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
+    )
+    shapes = [*_blocks(scene, target), *_tubes(trails)]
+    if len(shapes) > _MAX_SHAPES:
+        raise InvalidInputError(
+            f"blocks and trails must be at most {_MAX_SHAPES} pieces, got {len(shapes)}"
+        )
+    renderer = _renderer()
+    if renderer is None:
+        return _Sketch(width, height, camera).draw(angles, shapes)
+    return renderer.draw(angles, shapes, width, height, camera)
+
+
+def _rgb(color: str) -> tuple[float, ...]:
+    return tuple(channel / 255 for channel in ImageColor.getrgb(color))
+
+
+def _blocks(scene: Scene, target: int | None) -> list[_Shape]:
+    shapes = []
+    half = BLOCK / 2
+    for index, goal in enumerate(scene.goals):
+        shapes.append(_Shape(goal, (half,) * 3, (*_rgb(GOALS[index % len(GOALS)]), 1.0)))
+        bottom = goal[2] - half
+        while bottom > 1e-3:  # the lowest is as high as there is room
+            height = min(BLOCK, bottom)
+            centre = np.array([*goal[:2], bottom - height / 2])
+            # A little slimmer, so that a goal's block in the same place is what is seen.
+            shapes.append(_Shape(centre, (0.95 * half, 0.95 * half, height / 2), (*_STACK, 1.0)))
+            bottom -= height
+    if target is not None:
+        middle = scene.target(target) - [0, 0, half - 0.002]
+        turn = np.linspace(0, 2 * np.pi, 49)
+        ring = middle + _RING * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
+        shapes += _tubes([(ring, (*_rgb(INK), 1.0), 0.0016)])
+    return shapes
+
+
+def _tubes(trails: Iterable[Trail | tuple[Array, Sequence[float], float]]) -> list[_Shape]:
+    return [
+        _Shape(start, (radius,) * 3, tuple(rgba), end)
+        for points, rgba, radius in trails
+        for start, end in zip(np.asarray(points)[:-1], np.asarray(points)[1:], strict=True)
+    ]
+
+
+# ------------------------------------------------------------------------------------ with OpenGL
+
+_LOCAL = threading.local()
+"""OpenGL's contexts belong to threads."""
+
+
+def _renderer() -> _Renderer | None:
+    if not hasattr(_LOCAL, "renderer"):
+        try:
+            _LOCAL.renderer = _Renderer()
+        except Exception as cause:  # whatever is wrong with OpenGL here, there is a picture
+            warnings.warn(
+                f"MuJoCo cannot draw here ({type(cause).__name__}: {cause}), so the arm is only "
+                "sketched; apt-get install libegl1 libgl1, or libosmesa6, helps",
+                stacklevel=3,
+            )
+            _LOCAL.renderer = None
+    return _LOCAL.renderer
+
+
+def _context(width: int, height: int) -> Any:
+    """An OpenGL context that needs no display, of what is installed here."""
+    mujoco = import_mujoco()
+    if os.environ.get("MUJOCO_GL") or os.environ.get("DISPLAY") or os.name != "posix":
+        return mujoco.GLContext(width, height)
+    for name, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
+        if ctypes.util.find_library(library):
+            return importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+    if not hasattr(mujoco, "GLContext"):
+        raise RuntimeError("neither EGL nor OSMesa is installed")
+    return mujoco.GLContext(width, height)
+
+
+class _Renderer:
+    def __init__(self) -> None:
+        self._context = _context(640, 480)
+        self._context.make_current()
+        self._mujoco = mujoco = import_mujoco()
+        self._model = _looks()
+        self._data = mujoco.MjData(self._model)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=_MAX_SHAPES + 500)
+        self._option = mujoco.MjvOption()
+        self._gl = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
+
+    def draw(
+        self, angles: Array, shapes: list[_Shape], width: int, height: int, camera: Camera
+    ) -> NDArray[np.uint8]:
+        mujoco, scene = self._mujoco, self._scene
+        self._context.make_current()
+        wide, high = width * _SMOOTH, height * _SMOOTH
+        if (self._gl.offWidth, self._gl.offHeight) != (wide, high):
+            mujoco.mjr_resizeOffscreen(wide, high, self._gl)
+        self._data.qpos[:] = angles
+        mujoco.mj_forward(self._model, self._data)
+        view = mujoco.MjvCamera()
+        view.azimuth, view.elevation = camera.azimuth, camera.elevation
+        view.distance, view.lookat[:] = camera.distance, camera.lookat
+        self._model.vis.global_.fovy = camera.angle
+        mujoco.mjv_updateScene(
+            self._model,
+            self._data,
+            self._option,
+            None,
+            view,
+            mujoco.mjtCatBit.mjCAT_ALL,
+            scene,
+        )
+        geoms = scene.geoms
+        for shape in shapes:
+            self._add(geoms[scene.ngeom], shape)
+            scene.ngeom += 1
+        area = mujoco.MjrRect(0, 0, wide, high)
+        mujoco.mjr_render(area, scene, self._gl)
+        pixels = np.empty((high, wide, 3), dtype=np.uint8)
+        mujoco.mjr_readPixels(pixels, None, area, self._gl)
+        return np.array(Image.fromarray(pixels[::-1]).reduce(_SMOOTH))
+
+    def _add(self, geom: Any, shape: _Shape) -> None:
+        mujoco = self._mujoco
+        kind = mujoco.mjtGeom.mjGEOM_BOX if shape.end is None else mujoco.mjtGeom.mjGEOM_CAPSULE
+        mujoco.mjv_initGeom(
+            geom,
+            kind,
+            np.array(shape.size),
+            np.asarray(shape.centre, dtype=np.float64),
+            np.eye(3).ravel(),
+            np.array(shape.rgba, dtype=np.float32),
+        )
+        decor = shape.end is not None  # casts no shadow
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR if decor else mujoco.mjtCatBit.mjCAT_DYNAMIC
+        geom.specular, geom.shininess = 0.2, 0.3
+        if shape.end is not None:
+            mujoco.mjv_connector(
+                geom,
+                kind,
+                shape.size[0],
+                np.asarray(shape.centre, dtype=np.float64),
+                np.asarray(shape.end, dtype=np.float64),
+            )
+
+
+@functools.cache
+def _looks() -> Any:
+    """The model that is drawn: the physics' joints in other clothes."""
+    mujoco, spec = import_mujoco(), specification()
+    bodies = {body.name: body for body in spec.bodies}
+    meshes = _meshes()
+    for geom in list(spec.geoms):
+        if geom.group == 3 or (meshes and geom.group == 2):
+            spec.delete(geom)
+    for name, link, text, rgba in meshes:
+        spec.assets = {**spec.assets, f"{name}.obj": text}
+        mesh = spec.add_mesh(name=name, file=f"{name}.obj")
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        fingers = ("left_finger", "right_finger")
+        for body in fingers if link == "finger" else (link,):
+            bodies[body].add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=name,
+                rgba=rgba,
+                contype=0,
+                conaffinity=0,
+                mass=0,
+                group=2,
+            )
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=[1, 1, 1],
+        rgb2=[1, 1, 1],
+        width=16,
+        height=96,
+    )
+    for x, y, shadow in ((0.03, 0.12, True), (-0.5, 0.6, False)):
+        spec.worldbody.add_light(
+            pos=[-0.2 - 2 * x, -2 * y, 2.0],
+            dir=[x, y, -1],
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            diffuse=[0.2] * 3,
+            specular=[0.08] * 3,
+            castshadow=shadow,
+        )
+    spec.visual.headlight.ambient = [0.48] * 3
+    spec.visual.headlight.diffuse = [0.24] * 3
+    spec.visual.headlight.specular = [0.05] * 3
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.quality.offsamples = 4
+    spec.visual.map.znear = 0.02
+    spec.stat.extent = 1.2
+    spec.stat.center = [-0.2, 0, 0.3]
+    return spec.compile()
+
+
+def _meshes() -> list[tuple[str, str, bytes, list[float]]]:
+    """Franka's meshes if pybullet_data is installed: name, body, OBJ file and colour of each."""
+    package = importlib.util.find_spec("pybullet_data")
+    if package is None or package.origin is None:
+        return []
+    folder = Path(package.origin).parent / "franka_panda" / "meshes"
+    parts = []
+    for link in (*(f"link{i}" for i in range(8)), "hand", "finger"):
+        visual, rough = folder / "visual" / f"{link}.obj", folder / "collision" / f"{link}.obj"
+        path = visual if visual.is_file() else rough
+        if not path.is_file():
+            return []
+        colors = _colors(path.with_suffix(".mtl"))
+        for number, (material, text) in enumerate(_split(path.read_text()).items()):
+            rgba = [*colors.get(material, (0.95, 0.95, 0.95)), 1.0]
+            parts.append((f"{link}_{number}", link, text.encode(), rgba))
+    return parts
+
+
+def _colors(path: Path) -> dict[str, tuple[float, ...]]:
+    """The diffuse colour of each material of an MTL file."""
+    colors, name = {}, ""
+    if path.is_file():
+        for words in map(str.split, path.read_text().splitlines()):
+            if words[:1] == ["newmtl"]:
+                name = words[1]
+            elif words[:1] == ["Kd"]:
+                colors[name] = tuple(float(word) for word in words[1:4])
+    return colors
+
+
+def _split(text: str) -> dict[str, str]:
+    """An OBJ file of each material of an OBJ file of several."""
+    shared: dict[str, list[str]] = {"v": [], "vn": []}
+    faces: dict[str, list[list[tuple[int, int | None]]]] = {}
+    material = ""
+    for words in map(str.split, text.splitlines()):
+        if not words:
+            continue
+        if words[0] in shared:
+            shared[words[0]].append(" ".join(words))
+        elif words[0] == "usemtl":
+            material = words[1]
+        elif words[0] == "f":
+            corners = [word.split("/") for word in words[1:]]
+            faces.setdefault(material, []).append(
+                [(int(c[0]), int(c[2]) if len(c) > 2 and c[2] else None) for c in corners]
+            )
+    files = {}
+    for material, polygons in faces.items():
+        lines, places = [], {"v": {}, "vn": {}}
+        for corner in (corner for polygon in polygons for corner in polygon):
+            for kind, number in zip(("v", "vn"), corner, strict=True):
+                if number is not None and number not in places[kind]:
+                    places[kind][number] = len(places[kind]) + 1
+                    lines.append(shared[kind][number - (number > 0)])
+        for polygon in polygons:
+            ends = [
+                str(places["v"][v]) + ("" if n is None else f"//{places['vn'][n]}")
+                for v, n in polygon
+            ]
+            # A fan, since MuJoCo wants triangles.
+            lines += [f"f {ends[0]} {b} {c}" for b, c in pairwise(ends[1:])]
+        files[material] = "\n".join(lines) + "\n"
+    return files
+
+
+# --------------------------------------------------------------------------------- without OpenGL
+
+
+_SUN = np.array([-0.25, -0.35, 0.9])
+_BODY, _EDGE = (0.90, 0.91, 0.92), (0.55, 0.56, 0.58)
+
+
+class _Sketch:
+    """Capsules and boxes, the far ones first, in the perspective that OpenGL would have."""
+
+    def __init__(self, width: int, height: int, camera: Camera) -> None:
+        azimuth, elevation, half = np.radians([camera.azimuth, camera.elevation, camera.angle / 2])
+        flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        forward = np.cos(elevation) * flat + [0, 0, np.sin(elevation)]
+        right = np.array([flat[1], -flat[0], 0.0])
+        self._axes = np.stack([right, np.cross(right, forward), forward])
+        self._eye = np.array(camera.lookat) - camera.distance * forward
+        self._size = np.array([width, height]) * _FINE
+        self._scale = self._size[1] / 2 / np.tan(half)
+        self._image = Image.new("RGB", tuple(self._size.tolist()), "white")
+        self._pen = ImageDraw.Draw(self._image)
+
+    def draw(self, angles: Array, shapes: list[_Shape]) -> NDArray[np.uint8]:
+        mujoco, model = import_mujoco(), physics()
+        data = mujoco.MjData(model)
+        data.qpos[:] = angles
+        mujoco.mj_kinematics(model, data)
+        items = [*shapes]
+        for i in range(model.ngeom):
+            centre, size = data.geom_xpos[i].copy(), model.geom_size[i]
+            turn = data.geom_xmat[i].reshape(3, 3)
+            if i == model.geom("table").id:
+                self._box(centre, size, turn, tuple(model.geom_rgba[i]))  # below all else
+            elif model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
+                items.append(_Shape(centre, tuple(size), (*_EDGE, 1.0)))
+            else:
+                half = size[1] * turn[:, 2]
+                items.append(_Shape(centre - half, (size[0],) * 3, (*_BODY, 1.0), centre + half))
+
+        def depth(shape: _Shape) -> float:
+            middle = shape.centre if shape.end is None else (shape.centre + shape.end) / 2
+            return float(self._axes[2] @ (middle - self._eye))
+
+        for shape in sorted(items, key=depth, reverse=True):
+            if shape.end is None:
+                self._box(shape.centre, np.array(shape.size), np.eye(3), shape.rgba)
+            else:
+                self._tube(shape.centre, shape.end, shape.size[0], shape.rgba)
+        return np.array(self._image.reduce(_FINE))
+
+    def _place(self, points: Array) -> Array:
+        """Where `(..., 3)` [m] is in the picture and how large a metre is there, `(..., 3)`."""
+        seen = (points - self._eye) @ self._axes.T
+        scale = self._scale / np.maximum(seen[..., 2:], 1e-3)
+        return np.concatenate([self._size / 2 + seen[..., :2] * [1, -1] * scale, scale], axis=-1)
+
+    def _box(self, centre: Array, size: Array, turn: Array, rgba: tuple[float, ...]) -> None:
+        for axis in range(3):
+            for side in (-1, 1):
+                normal = side * turn[:, axis]
+                if normal @ (self._eye - centre - normal * size[axis]) <= 0:
+                    continue
+                corners = np.full((4, 3), float(side))
+                corners[:, np.arange(3) != axis] = [[-1, -1], [-1, 1], [1, 1], [1, -1]]
+                face = self._place(centre + (corners * size) @ turn.T)[:, :2]
+                light = 0.65 + 0.35 * max(0.0, float(normal @ _SUN))
+                self._pen.polygon(face.ravel().tolist(), fill=_color(rgba, light))
+
+    def _tube(self, start: Array, end: Array, radius: float, rgba: tuple[float, ...]) -> None:
+        ends = self._place(np.stack([start, end]))
+        thick = radius * ends[:, 2].mean()
+        layers = ((1.0, 0.72), (0.85, 1.0)) if radius > 0.01 else ((1.0, 1.0),)
+        for share, light in layers:
+            width, fill = thick * share, _color(rgba, light)
+            self._pen.line(ends[:, :2].ravel().tolist(), fill=fill, width=max(1, round(2 * width)))
+            for x, y in ends[:, :2]:
+                self._pen.ellipse((x - width, y - width, x + width, y + width), fill=fill)
+
+
+def _color(rgba: tuple[float, ...], light: float) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * min(1.0, share * light)) for share in rgba[:3])
+    return red, green, blue
