@@ -149,6 +149,16 @@ dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv
         generate(TINY, copy)
         assert {path.name: path.stat().st_mtime_ns for path in copy.iterdir()} == before
 
+    @pytest.mark.parametrize(
+        "change", [lambda file: file.unlink(), lambda file: file.write_bytes(b"x")]
+    )
+    def test_a_complete_one_that_was_damaged_is_repaired(self, copy, tiny, change):
+        change(copy / TINY.shard_names[1])
+        with pytest.raises(DatasetError, match="missing or not as it was written"):
+            Dataset.load(copy)
+        generate(TINY, copy)
+        assert hashes(copy) == hashes(tiny)
+
     def test_shards_left_by_another_configuration_are_not_taken_over(self, copy, tmp_path_factory):
         (copy / "manifest.json").unlink()
         other = dataclasses.replace(TINY, seed=1)
@@ -197,8 +207,6 @@ class TestRefuses:
         (copy / TINY.shard_names[1]).unlink()
         with pytest.raises(DatasetError, match=r"train-00001\.parquet is missing"):
             Dataset.load(copy)
-        with pytest.raises(DatasetError, match=r"train-00001\.parquet is missing"):
-            generate(TINY, copy)
 
     def test_folders_without_a_dataset(self, tmp_path):
         (tmp_path / "file").write_text("not a folder")

@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
+from legibility import demonstrations
 from legibility.dataset import Dataset, DatasetConfig, generate
 from legibility.demonstrations import Demonstrations, DemonstrationsConfig, demonstrate
 from legibility.errors import DatasetError, InvalidInputError
@@ -36,7 +37,7 @@ def copy(made, tmp_path):
 
 def test_content(made):
     shown, data = Demonstrations.load(made), Dataset.load(made)
-    assert shown.config == SHOWN.within(0.05)
+    assert shown.config == SHOWN.within(data.config)
     assert shown.dataset == TINY
     assert len(shown) == 2 * TINY.scenes == len(shown.paths) == len(shown.actions)
     assert 0.2 < shown.pushed.mean() < 0.8
@@ -108,6 +109,24 @@ def test_refuses(copy, tmp_path):
 def test_more_than_there_is(made, wrong, match):
     with pytest.raises(InvalidInputError, match=match):
         demonstrate(made, DemonstrationsConfig(**wrong))
+
+
+def test_nobody_arrives(made, tmp_path, monkeypatch):
+    folder = shutil.copytree(made, tmp_path / "none")
+    for file in folder.glob("demonstrations*"):
+        file.unlink()
+    roll = demonstrations._roll
+    monkeypatch.setattr(
+        demonstrations, "_roll", lambda *args: (*roll(*args)[:2], np.zeros(len(args[2]), bool))
+    )
+    with pytest.raises(InvalidInputError, match="lower noise or push"):
+        demonstrate(folder, SHOWN)
+    assert not list(folder.glob("demonstrations-*"))
+
+
+def test_more_noise_than_a_step(made):
+    with pytest.raises(InvalidInputError, match=r"noise must be a number from 0 to 0\.05"):
+        demonstrate(made, DemonstrationsConfig(demonstrations=1, noise=0.2))
 
 
 @pytest.mark.parametrize(

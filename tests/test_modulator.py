@@ -1,5 +1,6 @@
 """Whatever the weights: paths run from the start to the goal inside the workspace."""
 
+import dataclasses
 import json
 
 import gymnasium
@@ -590,13 +591,58 @@ class TestExecute:
             ({"target": 7}, "target must be a goal"),
             ({"tolerance": 0}, "tolerance"),
             ({"seed": -1}, "seed"),
-            ({"path": []}, "one for each of 3"),
+            ({"target": 0.7}, "target must be an integer"),
+            ({"target": True}, "target must be an integer"),
+            ({"target": "a"}, "target must be an integer"),
+            ({"target": [0, None, 1]}, "target must be an integer"),
+            ({"target": [1, 1, 7]}, "target must be a goal"),
+            ({"path": []}, "for each of 3"),
+            ({"path": 1}, "for each of 3"),
+            ({"path": [1, 2, 3]}, "for each of 3"),
+            ({"path": [1, 2, 3], "target": 1}, "for each of 3"),
         ],
         ids=str,
     )
     def test_refuses(self, wrong, match):
+        env = self.vector()
         with pytest.raises(InvalidInputError, match=match):
-            both().execute(self.vector(), **wrong)
+            both().execute(env, **wrong)
+        assert not env.targets.any()
+
+    @pytest.mark.parametrize("env", [None, 5])
+    def test_what_is_no_environment(self, env):
+        with pytest.raises(InvalidInputError, match="environment of legibility"):
+            both().execute(env)
+
+    @pytest.mark.parametrize("change", [lambda w: w[:5], lambda w: w * np.nan,
+                                        lambda w: np.pad(w, ((0, 0), (0, 1)))])  # fmt: skip
+    def test_paths_that_are_none(self, change):
+        env, path = self.vector(1), make().plan(SCENES[2], 0, 0.0)
+        broken = dataclasses.replace(path, waypoints=change(path.waypoints))
+        with pytest.raises(InvalidInputError, match="path must"):
+            both().execute(env, path=[broken])
+
+    @pytest.mark.parametrize("push", [0.5, 10.0])
+    def test_pushed_far_it_arrives_on_a_new_path(self, push):
+        corners = [[-0.1, -0.1], [1.1, 1.1], [-0.1, 1.1], [1.1, -0.1]]
+        scene = lg.Scene([0.5, 0.4], corners)
+        env = BlockReach2DVector(32)
+        env.reset(seed=0, options={"scene": scene, "push": push})
+        model = Modulator.from_pretrained("block-reach-2d")
+        rollouts = model.execute(env, legibility=0.5, driver=Feedback())
+        assert {r.reason for r in rollouts} == {"reached"}
+        assert sum(len(r.replans) for r in rollouts) >= 20
+
+    def test_who_wanders_is_stopped_however_often_it_plans(self):
+        class Drunk(Feedback):
+            rng = np.random.default_rng(0)
+
+            def __call__(self, rows, *rest):
+                return self.rng.normal(0, 0.05, (len(rows), 1, 2))
+
+        rollouts = both().execute(self.vector(8), driver=Drunk())
+        assert {r.reason for r in rollouts} <= {"stalled", "reached"}
+        assert sum(len(r.replans) for r in rollouts) > 8
 
     def test_what_does_not_fit(self):
         with pytest.raises(CheckpointError, match="no stage 2"):

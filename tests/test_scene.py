@@ -133,6 +133,8 @@ def test_workspace_may_be_left_out_of_a_file(tmp_path, scene):
         ("empty.yaml", ""),
         ("empty.json", ""),
         ("malformed.yaml", "start: [0, .5\ngoals: ]"),
+        ("tagged.yaml", 'start: !!timestamp "x"\ngoals: [[0, 0], [1, 1]]'),
+        ("nothing.yaml", 'start: !!float ""\ngoals: [[0, 0], [1, 1]]'),
         ("malformed.json", '{"start": [0, 0.5], "goals": '),
         ("date.yaml", "start: 2024-99-99"),
         ("object.yaml", "!!python/object/apply:os.getcwd []"),

@@ -20,7 +20,7 @@ from .envs import vector_type
 from .envs.guard import safe_actions
 from .errors import DatasetError, InvalidInputError
 from .motion.tracking import PathTracker, feedback_action
-from .scene import stream_seed
+from .scene import DEFAULT_WORKSPACE, stream_seed
 from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, write_shard
 
 __all__ = ["DEMONSTRATIONS", "Demonstrations", "DemonstrationsConfig", "demonstrate"]
@@ -59,9 +59,25 @@ class DemonstrationsConfig:
             if getattr(self, name) is not None:
                 bounded(name, getattr(self, name), 0)
 
-    def within(self, limit: float) -> DemonstrationsConfig:
-        """The same with what is not given set for a largest displacement of `limit` [m]."""
-        noise = _NOISE * limit if self.noise is None else self.noise
+    def within(self, source: DatasetConfig) -> DemonstrationsConfig:
+        """The same with what is not given set for the robot that demonstrates in a dataset.
+
+        Raises:
+            InvalidInputError: there are not so many scenes or trajectories, or too much noise.
+        """
+        count("demonstrations", self.demonstrations)
+        if self.demonstrations > source.per_scene:
+            raise InvalidInputError(
+                f"demonstrations must be at most {source.per_scene}, the dataset's trajectories of "
+                f"a scene, got {self.demonstrations}"
+            )
+        if self.demonstrated > source.scenes:
+            raise InvalidInputError(
+                f"demonstrated must be at most {source.scenes}, the dataset's scenes, "
+                f"got {self.demonstrated}"
+            )
+        limit = vector_type(None, source.dim).max_displacement
+        noise = bounded("noise", _NOISE * limit if self.noise is None else self.noise, 0, limit)
         return replace(self, noise=noise, push=_PUSH * limit if self.push is None else self.push)
 
 
@@ -148,26 +164,15 @@ def demonstrate(
     folder = Path(folder)
     dataset, digest, _ = read_shards(folder, "manifest.json", "legibility data")
     source = DatasetConfig.from_dict(dataset)
-    count("demonstrations", config.demonstrations)
-    if config.demonstrations > source.per_scene:
-        raise InvalidInputError(
-            f"demonstrations must be at most {source.per_scene}, the dataset's trajectories of a "
-            f"scene, got {config.demonstrations}"
-        )
-    if config.demonstrated > source.scenes:
-        raise InvalidInputError(
-            f"demonstrated must be at most {source.scenes}, the dataset's scenes, "
-            f"got {config.demonstrated}"
-        )
+    config = config.within(source)
     scenes = config.demonstrated or source.scenes
-    env = vector_type(None, source.dim)(1)
-    config = config.within(env.max_displacement)
+    env = vector_type(None, source.dim)
     content = {
         **asdict(config),
         "dataset": source.to_dict(),
         "digest": digest,
         "limit": env.max_displacement,
-        "workspace": env.workspace.tolist(),
+        "workspace": np.array(DEFAULT_WORKSPACE[source.dim]).tolist(),
     }
     names = [f"demonstrations-{i:05d}.parquet" for i in range(-(-scenes // SHARD))]
     write = partial(_write, folder, source, config, content, scenes)
@@ -220,6 +225,11 @@ def _write(
         for i in range(len(paths))
         if success[i]
     ]
+    if not rows:
+        raise InvalidInputError(
+            f"no demonstration in scenes {first} to {first + size - 1} reached its goal; "
+            "lower noise or push"
+        )
     write_shard(path, rows, content)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .checks import Array
-from .curves import resample
+from .checks import Array, target_index
+from .curves import NUM_WAYPOINTS, resample
 from .envs.guard import safe_actions
 from .errors import InvalidInputError
 from .intent.metrics import SCORE_POINTS, legibility_score
@@ -25,6 +25,7 @@ __all__ = ["Driver", "Feedback", "Fleet", "Policy", "Replay", "Rollout", "follow
 _PATIENCE = 2.0
 _PROGRESS = 0.2
 _LOST = 6.0
+_PUSHES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,7 @@ class Fleet:
 
     def __init__(self, env: Any, seed: int) -> None:
         self._env = env
-        inner = env.unwrapped
+        inner: Any = getattr(env, "unwrapped", None)
         if hasattr(inner, "scenes"):
             self._parts = [inner]
         elif hasattr(inner, "batch"):
@@ -143,8 +144,10 @@ class Fleet:
         """`(B, J)` [rad]; a point in the plane has none."""
         return self._gather("joint_angles")
 
-    def set_targets(self, targets: NDArray[Any]) -> None:
-        """Mean other goals from now on."""
+    def set_targets(self, targets: Sequence[Any]) -> None:
+        """Mean other goals `(B,)` from now on; nothing changes if one of them is not there."""
+        for scene, target in zip(self.scenes, targets, strict=True):
+            target_index(target, scene.num_goals)
         index = 0
         for part in self._parts:
             for i in range(len(part.scenes)):
@@ -259,7 +262,8 @@ def follow(
     """Let the robots follow their paths until each has reached its goal or is stopped.
 
     Every action is made safe (`safe_actions`) before it is sent, whatever the driver says. A robot
-    that makes no progress for two seconds, or is far from its path, is stopped with a reason.
+    that makes no progress for two seconds is stopped with a reason, and so is one far from its
+    path, unless it may plan again.
 
     Args:
         fleet: `B` robots.
@@ -271,16 +275,24 @@ def follow(
         tolerance: [m].
     """
     size, limit = fleet.size, fleet.limit
-    tracker = PathTracker(np.stack([p.waypoints for p in paths]), limit, fleet.workspace)
-    goals = np.stack([p.waypoints[-1] for p in paths])
+    shape = (NUM_WAYPOINTS + 2, fleet.workspace.shape[1])
+    for path in paths:
+        if path.waypoints.shape != shape:
+            raise InvalidInputError(
+                f"a path must have waypoints of shape {shape}, got {path.waypoints.shape}"
+            )
     positions = previous = fleet.positions
     gap = np.linalg.norm(positions - np.stack([p.waypoints[0] for p in paths]), axis=-1)
-    if (gap > limit).any():
-        worst = int(gap.argmax())
+    if not (gap <= limit).all():
+        worst = int(np.nan_to_num(gap, nan=np.inf).argmax())
         raise InvalidInputError(
             f"a path must start at the robot, {positions[worst].tolist()}, "
             f"got {paths[worst].waypoints[0].tolist()}"
         )
+    if not all(np.isfinite(p.waypoints).all() for p in paths):
+        raise InvalidInputError("a path must be finite, got one that is not")
+    tracker = PathTracker(np.stack([p.waypoints for p in paths]), limit, fleet.workspace)
+    goals = np.stack([p.waypoints[-1] for p in paths])
     patience = round(_PATIENCE / fleet.step_seconds)
     states, actions, deviations, contacts = [positions], [], [], np.zeros(size, dtype=int)
     joints = [fleet.joint_angles]
@@ -290,6 +302,7 @@ def follow(
     replans: list[list[int]] = [[] for _ in range(size)]
     queue: list[Array] = [np.empty((0, positions.shape[1]))] * size
     best, since = np.full(size, np.inf), np.zeros(size, dtype=int)
+    renewed = np.zeros(size, dtype=int)
 
     active = np.ones(size, dtype=bool)
     while active.any():
@@ -320,7 +333,7 @@ def follow(
         steps += active
 
         left = tracker.remaining + off
-        lost = off > _LOST * limit
+        lost = (off > _LOST * limit) & (plan_again is None)
         if not driver.with_path:
             left, lost = np.linalg.norm(positions - goals, axis=-1), np.zeros(size, dtype=bool)
         better = left < best - _PROGRESS * limit
@@ -336,13 +349,17 @@ def follow(
 
         if plan_again is not None:
             moved = np.stack([s.goals[t] for s, t in zip(fleet.scenes, fleet.targets, strict=True)])
-            again = active & ((off > tolerance) | (np.linalg.norm(moved - goals, axis=-1) > 1e-9))
+            elsewhere = np.linalg.norm(moved - goals, axis=-1) > 1e-9
+            again = active & ((off > tolerance) | elsewhere)
             rows = np.flatnonzero(again)
             if len(rows):
                 new = plan_again(rows.tolist(), positions[rows])
                 tracker.replace(rows, np.stack([p.waypoints for p in new]))
                 goals[rows] = moved[rows]
-                best[rows], since[rows] = np.inf, 0
+                # Who is off every new path too must not be watched from anew each time.
+                anew = rows[elsewhere[rows] | (renewed[rows] < _PUSHES)]
+                best[anew], since[anew] = np.inf, 0
+                renewed[anew] += 1
                 for row in rows:
                     queue[row] = queue[row][:0]
                     replans[row].append(int(steps[row]))

@@ -43,7 +43,7 @@ _ATTEMPTS = 3
 _LESS = 0.03
 _CLEARLY = 0.05
 _LEAST_COST = 1e-12
-_AT_START = 1e-4
+_AT_START, _BESIDE = 1e-4, 1e-5
 
 _STAGES: dict[str, Any] = {
     "path": (PathDiffuserConfig, PathDiffuser),
@@ -258,15 +258,19 @@ class Modulator:
             )
         off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for(fleet.size, legibility)
-        if target is not None:
-            wanted = (
-                np.broadcast_to(np.asarray(target), (fleet.size,))
-                if np.ndim(target) == 0
-                else (np.asarray(target))
+        given = None if path is None else list(path) if isinstance(path, list | tuple) else [path]
+        if given is not None and (
+            len(given) != fleet.size or not all(isinstance(p, Path) for p in given)
+        ):
+            raise InvalidInputError(
+                f"path must be a legibility.Path for each of {fleet.size} robots, got {len(given)}"
             )
-            if wanted.shape != (fleet.size,):
+        if target is not None:
+            several = isinstance(target, list | tuple | np.ndarray) and np.ndim(target) > 0
+            wanted: list[Any] = list(target) if several else [target] * fleet.size  # pyright: ignore
+            if len(wanted) != fleet.size:
                 raise InvalidInputError(
-                    f"target must be one for all or {fleet.size}, got {np.shape(target)}"
+                    f"target must be one for all or {fleet.size}, got {len(wanted)}"
                 )
             fleet.set_targets(wanted)
         options: dict[str, Any] = {"guidance": guidance, "steps": steps}
@@ -274,14 +278,9 @@ class Modulator:
             _moved(scene, position)
             for scene, position in zip(fleet.scenes, fleet.positions, strict=True)
         ]
-        if path is None:
+        paths: Any = given
+        if paths is None:
             paths = self.plan_many(here, fleet.targets.tolist(), levels, seed=seed, **options)
-        else:
-            paths = [path] if isinstance(path, Path) else list(path)
-            if len(paths) != fleet.size or any(p.waypoints.ndim != 2 for p in paths):
-                raise InvalidInputError(
-                    f"path must be one for each of {fleet.size} robots, got {len(paths)}"
-                )
 
         def plan_again(rows: list[int], positions: Array) -> list[Path]:
             scenes = fleet.scenes
@@ -503,10 +502,16 @@ def _moved(scene: Scene, start: Array) -> Scene:
     """The scene as it is for a robot that now stands at `start (D,)` [m].
 
     An arm is put at a scene's start as exactly as its joints go, and may be a little beyond a wall.
+    A robot that was pushed onto a goal is taken to be just beside it.
     """
     if np.linalg.norm(start - scene.start) < _AT_START:
         return scene
-    return Scene(np.clip(start, *scene.workspace), scene.goals, scene.workspace)
+    start, least = np.clip(start, *scene.workspace), _BESIDE * scene.diagonal
+    if np.linalg.norm(scene.goals - start, axis=-1).min() < least:
+        inward = scene.workspace.mean(axis=0) - start
+        inward[0] += 1e-9  # in the very middle any way leads inward
+        start = start + 2 * least * inward / np.linalg.norm(inward)
+    return Scene(start, scene.goals, scene.workspace)
 
 
 def _or_straight(path: Path) -> Path:

@@ -192,7 +192,7 @@ class Scene:
 
                 try:
                     content = yaml.safe_load(text)
-                except yaml.YAMLError as cause:
+                except (yaml.YAMLError, AttributeError, LookupError, TypeError) as cause:
                     raise ValueError(" ".join(str(cause).split())) from cause
             else:
                 content = json.loads(text)

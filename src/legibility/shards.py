@@ -78,7 +78,11 @@ def make_shards(
                 f"{folder} holds a dataset of another configuration; choose another folder"
             )
         if found["complete"]:
-            return
+            changed = [s["name"] for s in found["shards"] if not _is_the_one(folder, s)]
+            if not changed:
+                return
+            for name in changed:  # made anew
+                (folder / name).unlink(missing_ok=True)
     content = {"format": _FORMAT, "config": config, "complete": False}
     write_json(folder / manifest, content)
     for leftover in folder.glob(".*.parquet"):  # of a run that was killed
@@ -154,6 +158,12 @@ def read_manifest(folder: Path, manifest: str) -> dict[str, Any]:
 
 def _canonical(config: dict[str, Any]) -> bytes:
     return json.dumps(config, sort_keys=True).encode()
+
+
+def _is_the_one(folder: Path, shard: dict[str, str]) -> bool:
+    """Whether a shard is as the manifest says that it was written."""
+    path = folder / shard["name"]
+    return path.is_file() and file_hash(path) == shard["sha256"]
 
 
 def _is_whole(path: Path, config: dict[str, Any]) -> bool:

@@ -237,3 +237,9 @@ def test_bad_grids_are_named():
         field.grid([[0, 0], [1, 1]], 4, 2)
     with pytest.raises(InvalidInputError, match="target must be"):
         field.potential([0, 0], -1)
+
+
+@pytest.mark.parametrize("sigma", [1e160, 1e200, 1e-170])
+def test_a_sigma_that_tells_nothing(sigma):
+    with pytest.raises(InvalidInputError, match="sigma must"):
+        InformationPotentialField([[0, 0], [1, 0]], sigma)

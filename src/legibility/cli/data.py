@@ -55,6 +55,10 @@ def data(
         shown = made(DemonstrationsConfig, controller)
         if figure is not None:
             raise InvalidInputError("--figure belongs to --info")
+        if shown.demonstrations:
+            shown.within(settings)
+        elif shown != DemonstrationsConfig():
+            raise InvalidInputError("what is said of demonstrations needs --demonstrations N")
         check_folder(out, "dataset")
         with progress_bar("shards") as progress:
             made_or_read = generate(settings, out, workers=workers, progress=progress)

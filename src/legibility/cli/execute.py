@@ -84,7 +84,7 @@ def execute(
     from ..modulator import Modulator
 
     modulator = Modulator.from_pretrained(model)
-    robots = kind(len(asked))
+    robots = kind(len(asked), max_goals=max(6, place.num_goals))
     options = {"noise": noise, "push": push, "shift": shift}
     # The same hidden properties and disturbance in each, so that ℓ alone makes the difference.
     robots.reset(seed=[seed] * len(asked), options={"scene": place, "target": target, **options})

@@ -208,7 +208,7 @@ def _executed(
     size, rollouts = len(path.waypoints), []
     for first in range(0, size, kind.at_once):
         part = [path[i] for i in range(first, min(first + kind.at_once, size))]
-        env = kind(len(part))
+        env = kind(len(part), max_goals=max(6, path.scene.num_goals))
         env.reset(seed=seed + first, options={"scene": path.scene, "target": path.target})
         found = modulator.execute(
             env, legibility=[p.legibility for p in part], seed=seed + first, path=part

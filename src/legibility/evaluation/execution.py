@@ -137,6 +137,7 @@ def evaluate_execution(
         scenes.append(scene)
         archives.append(archive)
         progress(index + 1, total)
+    most = max(6, config.goals[1])
     each = np.repeat(np.arange(config.scenes), config.rollouts // config.scenes)
     draw = stream_seed("evaluation", config.seed, 0, "plan")
     levels = np.random.default_rng(draw).uniform(-1, 1, config.rollouts)
@@ -157,7 +158,7 @@ def evaluate_execution(
         for first in range(0, config.rollouts, at_once):
             part = slice(first, first + at_once)
             plan_seed, policy_seed, env_seed = _seeds(config.seed, first)
-            env = kind(len(each[part]))
+            env = kind(len(each[part]), max_goals=most)
             env.reset(seed=env_seed, options={"scene": [scenes[i] for i in each[part]], **options})
             found = modulator.execute(
                 env, legibility=levels[part], seed=plan_seed, path=plans.get(first),
@@ -276,7 +277,7 @@ def step_milliseconds(
     try:
         times = []
         for seed in range(repeats + 1):
-            env = kind(1)
+            env = kind(1, max_goals=max(6, scene.num_goals))
             env.reset(seed=seed, options={"scene": scene})
             path = modulator.plan(scene, 0, 0.5, seed=seed)
             start = time.perf_counter()

@@ -47,12 +47,15 @@ class InformationPotentialField:
         self._origin = self.goals.mean(axis=0)
         offsets = self.goals - self._origin
         with np.errstate(all="ignore"):
-            self._slope = offsets.T / self.sigma**2
-            self._intercept = np.log(self.prior) - (offsets**2).sum(-1) / (2 * self.sigma**2)
+            variance = np.float64(self.sigma) ** 2
+            self._slope = offsets.T / variance
+            self._intercept = np.log(self.prior) - (offsets**2).sum(-1) / (2 * variance)
         if not (np.isfinite(self._slope).all() and np.isfinite(self._intercept).all()):
             raise InvalidInputError(
                 f"sigma must not vanish beside the goals' distances, got {sigma}"
             )
+        if not self._slope.any():
+            raise InvalidInputError(f"sigma must let the goals be told apart, got {sigma}")
 
     @property
     def num_goals(self) -> int:

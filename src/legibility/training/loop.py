@@ -105,6 +105,8 @@ def train(
         model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
     )
     identity = {**identity, "training": asdict(config)}
+    for leftover in folder.glob(".*.safetensors"):  # of a run that was killed
+        leftover.unlink()
     done, seconds = 0, 0.0
     if (folder / CHECKPOINT).exists():
         done, seconds = _restore(folder / CHECKPOINT, model, average, optimizer, identity)
