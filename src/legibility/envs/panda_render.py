@@ -24,7 +24,7 @@ from ..errors import InvalidInputError
 from ..scene import Scene
 from .panda_model import import_mujoco, physics, specification
 
-__all__ = ["BLOCK", "Camera", "Trail", "arm_image"]
+__all__ = ["BLOCK", "FRONT", "Camera", "Trail", "arm_image"]
 
 BLOCK = 0.04
 """Edge of a block [m]."""
@@ -51,6 +51,10 @@ class Camera(NamedTuple):
     distance: float = 2.2
     lookat: tuple[float, float, float] = (-0.25, 0.0, 0.25)
     angle: float = 30.0
+
+
+FRONT = Camera(150.0, -28.0, 1.8, (-0.2, 0.0, 0.2), 30.0)
+"""Nearer and more from the front than the default; all of the workspace is in the picture."""
 
 
 class Trail(NamedTuple):

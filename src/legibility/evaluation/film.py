@@ -354,7 +354,7 @@ class _ArmView:
 
     def show(self, step: int, tints: Array, clear: int | None) -> None:
         """See `_View`."""
-        from ..envs.panda_render import arm_image
+        from ..envs.panda_render import FRONT, arm_image
 
         path, states = self.rollout.path, self.rollout.states
         pieces = zip(states[:step], states[1 : step + 1], tints, strict=True)
@@ -365,10 +365,11 @@ class _ArmView:
             for i in range(0, len(planned) - 1, 2)
         ]
         if clear is not None:
-            trails.append((states[[clear, clear]], (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
+            dot = states[clear] + [[0, 0, 0], [0, 0, _TUBE / 50]]
+            trails.append((dot, (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
         self.image.set_data(
             arm_image(path.scene, path.target, self.rollout.joint_angles[step], trails=trails,
-                      size=self.size)
+                      size=self.size, camera=FRONT)
         )  # fmt: skip
 
 
