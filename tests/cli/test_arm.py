@@ -24,6 +24,7 @@ def test_plan(cli, tmp_path):
     assert (tmp_path / "p.png").stat().st_size > 10_000
 
 
+@pytest.mark.filterwarnings("default:MuJoCo cannot draw")
 @pytest.mark.parametrize(("env", "module"), [("panda", "mujoco"), ("pandagym", "pybullet")])
 def test_execute(env, module, cli, tmp_path):
     pytest.importorskip(module, reason=f"the environment {env} needs {module}")
