@@ -139,3 +139,19 @@ def test_refuses(data, validation, tmp_path):
     for wrong in ({"batch": 0}, {"steps": 0}, {"dropout": 1.0}, {"learning_rate": -1}):
         with pytest.raises(InvalidInputError, match=next(iter(wrong))):
             PolicyTrainingConfig(**wrong)
+
+
+def test_an_arm_learns_by_the_same_code(tmp_path):
+    pytest.importorskip("mujoco", reason="the extra named panda is not installed")
+    config = DatasetConfig(dim=3, scenes=6, cells=6, per_scene=9)
+    generate(config, tmp_path / "data")
+    checks = generate(
+        dataclasses.replace(config, stream="validation", scenes=2), tmp_path / "validation"
+    )
+    shown = demonstrate(tmp_path / "data", DemonstrationsConfig(demonstrations=3))
+    settings = dataclasses.replace(SHORT, steps=150, batch=128)
+    model = train_policy(shown, checks, tmp_path / "run", settings, **TINY)
+    assert (model.config.dim, model.config.limit) == (3, 0.02)
+    rows = [json.loads(row) for row in (tmp_path / "run" / LOG).read_text().splitlines()]
+    assert rows[-1]["velocity"] < rows[0]["velocity"] < 1.5
+    assert 0 <= rows[-1]["validation_deviation"] < 0.5

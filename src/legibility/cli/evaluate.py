@@ -93,22 +93,32 @@ def execution(
     write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     rows = table(
         f"{model}, {settings.rollouts} rollouts in {settings.scenes} scenes",
-        "who", "success", "Spearman", "error of ℓ", "deviation", "planned anew", "what it is",
-        text_columns=1,
+        "who", "success", "within 5 cm", "Spearman", "error of ℓ", "deviation", "planned anew",
+        "counts", "what it is", text_columns=1,
     )  # fmt: skip
     rows.columns[-1].justify = "left"
     for name, figures in result["rows"].items():
         rows.add_row(
             name,
+            number(figures["success"]["mean"], 4),
+            number(figures["within_5_cm"], 4) if "within_5_cm" in figures else "",
             *(
                 number(figures[key]["mean"], 4) if key in figures else ""
-                for key in ("success", "spearman", "error", "deviation")
+                for key in ("spearman", "error", "deviation")
             ),
             number(figures["replanned"], 4),
+            " ".join(map(str, figures["counts"].values())),
             ROWS[name].text,
         )
+    plan = result["rows"]["policy"]
+    counted = ", ".join(name.replace("_", " ") for name in plan["counts"])
     show(
         rows,
+        *([f"counts: {counted}"] if counted else []),
+        f"plans alone: Spearman {number(plan['spearman_of_plan']['mean'], 4)}, error of ℓ "
+        f"{number(plan['error_of_plan']['mean'], 4)}",
+        f"{result['env']} alone: {number(result['env_steps_per_second'], 0)} control steps a "
+        "second on one core",
         f"one control step on one core: {number(result['step_ms'], 2)} ms; "
         f"{number(result['rollouts_per_second'], 0)} rollouts a second, "
         f"{result['at_once']} at once on {result['threads']} threads",
