@@ -105,12 +105,12 @@ def test_interrupt_from_the_keyboard(here):
     words = "data --scenes 100000 --goals 2 --cells 6 --per-scene 3 --workers 2 --out d"
     line = [sys.executable, "-m", "legibility", *words.split()]
     process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 120
     # Until both workers are at work: one that is still starting would tell of the interrupt itself.
     while len(list(Path().glob("d/*.parquet"))) < 8 and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers as well
-    _, errors = process.communicate(timeout=30)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode == 130
     assert errors == "legibility: interrupted; the same command resumes\n"
 

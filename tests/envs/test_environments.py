@@ -48,6 +48,10 @@ def test_all_arms_have_one_interface():
     assert infos[0].keys() == infos[1].keys()
     assert one.scenes == other.scenes
     assert one.joint_angles.shape == other.joint_angles.shape == (1, 7)
+    assert one.metadata == other.metadata
+    names = ("PandaBlockReach", "PandaGymBlockReach")
+    ones = [gymnasium.make(f"legibility/{kind}-v0").unwrapped for kind in names]
+    assert ones[0].metadata == ones[1].metadata
 
 
 @pytest.mark.parametrize(

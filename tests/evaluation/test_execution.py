@@ -166,6 +166,10 @@ def test_failures_that_gather_in_a_scene_widen_the_interval():
     assert execution._interval(np.ones(200, dtype=bool), np.ones(20))[0] < 0.99
 
 
+def test_speed_of_an_environment_is_not_that_of_its_episodes():
+    assert execution.env_steps_per_second(BlockReach2DVector, 4, 0.5) > 4 * 400 / 0.5
+
+
 def test_threads_are_left_as_they_were(modulator):
     torch.set_num_threads(2)
     try:

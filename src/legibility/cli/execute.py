@@ -45,7 +45,8 @@ def execute(
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
         model: name of weights that came with the package, or a folder; those of the scene's
             dimension if not given.
-        env: 2d, panda (MuJoCo) or pandagym; 2d or panda, by the scene, if not given.
+        env: 2d, panda (MuJoCo) or pandagym; 2d or panda, by the scene, if not given. MuJoCo draws
+            the pictures of either arm.
         seed: of the paths and actions drawn and of the environment's hidden properties.
         noise: standard deviation of each step's displacement [m].
         push: the robot is pushed by so much [m] on its way.
@@ -80,6 +81,10 @@ def execute(
     target_index(target, place.num_goals)
     model = model_of(model, place)
     kind = vector_type(env, place.dim)
+    if place.dim == 3 and any((figure, spectrum, video)):
+        from ..envs.panda_model import import_mujoco
+
+        import_mujoco()  # it draws the arm of whichever simulator
 
     from ..modulator import Modulator
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +44,25 @@ def import_mujoco() -> Any:
         backend = os.environ.get("MUJOCO_GL")
         if backend is None:
             raise
+        if backend in ("egl", "osmesa", "glfw"):  # only its pictures: the physics needs no OpenGL
+            return _without_opengl(backend, cause)
         raise InvalidInputError(
             f"MuJoCo cannot be loaded with MUJOCO_GL={backend} ({cause}); unset it, or set what "
             "is installed: egl, osmesa or glfw"
         ) from cause
+    return mujoco
+
+
+def _without_opengl(backend: str, reason: Exception) -> Any:
+    """MuJoCo, loaded without heeding MUJOCO_GL."""
+    for name in [n for n in sys.modules if n.partition(".")[0] in ("mujoco", "OpenGL")]:
+        del sys.modules[name]
+    del os.environ["MUJOCO_GL"]
+    import mujoco
+
+    warnings.warn(
+        f"MUJOCO_GL={backend} does not work here ({reason}) and is not heeded", stacklevel=3
+    )
     return mujoco
 
 

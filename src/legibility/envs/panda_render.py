@@ -48,13 +48,13 @@ class Camera(NamedTuple):
 
     azimuth: float = 140.0
     elevation: float = -22.0
-    distance: float = 2.2
-    lookat: tuple[float, float, float] = (-0.25, 0.0, 0.25)
+    distance: float = 2.35
+    lookat: tuple[float, float, float] = (-0.25, 0.0, 0.22)
     angle: float = 30.0
 
 
-FRONT = Camera(150.0, -28.0, 1.8, (-0.2, 0.0, 0.2), 30.0)
-"""Nearer and more from the front than the default; all of the workspace is in the picture."""
+FRONT = Camera(150.0, -28.0, 2.1, (-0.22, 0.0, 0.25), 30.0)
+"""Nearer and more from the front than the default."""
 
 
 class Trail(NamedTuple):
@@ -156,34 +156,36 @@ _LOCAL = threading.local()
 
 def _renderer() -> _Renderer | None:
     if not hasattr(_LOCAL, "renderer"):
-        try:
-            _LOCAL.renderer = _Renderer()
-        except Exception as cause:  # whatever is wrong with OpenGL here, there is a picture
+        _LOCAL.renderer = None
+        causes = []
+        for way in _ways():
+            try:
+                _LOCAL.renderer = _Renderer(importlib.import_module(way))
+                break
+            except Exception as cause:  # whatever is wrong with OpenGL here, there is a picture
+                causes.append(f"{way}: {type(cause).__name__}: {cause}")
+        else:
             warnings.warn(
-                f"MuJoCo cannot draw here ({type(cause).__name__}: {cause}), so the arm is only "
-                "sketched; apt-get install libegl1 libgl1, or libosmesa6, helps",
+                f"MuJoCo cannot draw here ({'; '.join(causes)}), so the arm is only sketched; "
+                "apt-get install libegl1 libgl1, or libosmesa6, helps",
                 stacklevel=3,
             )
-            _LOCAL.renderer = None
     return _LOCAL.renderer
 
 
-def _context(width: int, height: int) -> Any:
-    """An OpenGL context that needs no display, of what is installed here."""
-    mujoco = import_mujoco()
-    if os.environ.get("MUJOCO_GL") or os.environ.get("DISPLAY") or os.name != "posix":
-        return mujoco.GLContext(width, height)
-    for name, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
-        if ctypes.util.find_library(library):
-            return importlib.import_module(f"mujoco.{name}").GLContext(width, height)
-    if not hasattr(mujoco, "GLContext"):
-        raise RuntimeError("neither EGL nor OSMesa is installed")
-    return mujoco.GLContext(width, height)
+def _ways() -> list[str]:
+    """Modules with a `GLContext`: what the user names, or what needs no display, then the rest."""
+    import_mujoco()
+    if os.environ.get("MUJOCO_GL") or os.name != "posix":
+        return ["mujoco"]
+    libraries = (("mujoco.egl", "EGL"), ("mujoco.osmesa", "OSMesa"))
+    found = [module for module, library in libraries if ctypes.util.find_library(library)]
+    return [*found, "mujoco"]
 
 
 class _Renderer:
-    def __init__(self) -> None:
-        self._context = _context(640, 480)
+    def __init__(self, way: Any) -> None:
+        self._context = way.GLContext(640, 480)
         self._context.make_current()
         self._mujoco = mujoco = import_mujoco()
         self._model = _looks()

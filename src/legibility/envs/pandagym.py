@@ -409,3 +409,4 @@ class PandaGymBlockReach(BlockReach):
     """
 
     batch_type = PandaGymBlockReachVector
+    metadata = {**BlockReach.metadata, "render_fps": 25}  # noqa: RUF012
