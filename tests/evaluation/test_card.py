@@ -145,7 +145,7 @@ class TestExecution:
         assert "0.88 ms on one core" in text
         assert (
             "256 robots at once 321 rollouts a second were planned and executed on 2 threads; "
-            "the environment alone takes 4,321 control steps a second" in text
+            "as many in the environment alone take 4,321 control steps a second" in text
         )
         assert "The plans alone have a correlation of 0.9700 and an error of 0.0100" in text
 

@@ -96,8 +96,8 @@ workspace{_farthest(result)}, {found[1]} actions not finite, {found[2]} over the
 One control step of one robot took {result["step_ms"]:.2f} ms on one core, the policy included and
 amortised over its chunk. With {result["at_once"]} robots at once
 {result["rollouts_per_second"]:.0f} rollouts a second were planned and executed on
-{_threads(result)}; the environment alone takes {result["env_steps_per_second"]:,.0f} control steps
-a second on one core.""")
+{_threads(result)}; as many in the environment alone take
+{result["env_steps_per_second"]:,.0f} control steps a second on one core.""")
     return f"""\
 {on}
 
