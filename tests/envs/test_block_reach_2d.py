@@ -8,6 +8,7 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from episodes import equal, row
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
@@ -37,24 +38,6 @@ rough = st.fixed_dictionaries(
         "lag": st.floats(0, 0.3),
     },
 )
-
-
-def equal(first, second):
-    """Whether two observations, infos, or tuples of them are the same to the bit."""
-    if isinstance(first, dict):
-        return first.keys() == second.keys() and all(equal(first[k], second[k]) for k in first)
-    if isinstance(first, tuple):
-        return len(first) == len(second) and all(map(equal, first, second))
-    return np.array_equal(first, second)
-
-
-def row(values, index):
-    """One environment of what a vector returned."""
-    if isinstance(values, tuple):
-        return tuple(row(value, index) for value in values)
-    if isinstance(values, dict):
-        return {name: value[index] for name, value in values.items()}
-    return values[index]
 
 
 def toward(env, gain=0.5):

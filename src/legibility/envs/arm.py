@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..checks import Array
 from .block_reach import BlockReachVector
 
-__all__ = ["HOME", "JOINT_LIMITS", "VELOCITY_LIMITS", "ArmVector"]
+__all__ = ["BASE", "BLOCK", "HOME", "JOINT_LIMITS", "VELOCITY_LIMITS", "ArmVector"]
 
 JOINT_LIMITS = np.array([
     [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
@@ -25,12 +25,15 @@ VELOCITY_LIMITS = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
 HOME = np.array([0.0, 0.41, 0.0, -1.85, 0.0, 2.26, 0.79])
 """Angles `(7,)` [rad] from which postures are found: the gripper down over the table."""
 
+BLOCK = 0.04
+"""Edge of a block [m]."""
+
 BASE = np.array([-0.6, 0.0, 0.0])
 """Where the arm stands on the table [m]."""
 
 
 class ArmVector(BlockReachVector):
-    """Many arms at once, a simulation each. A subclass moves one: `_place` and `_drive`.
+    """Many arms at once, a simulation each. A subclass moves them: `_place` and `_drive`.
 
     The position is that of the grasp point between the fingertips; the gripper points down.
     """
@@ -47,10 +50,13 @@ class ArmVector(BlockReachVector):
     """Steps of the physics in a control step: 2 ms each."""
 
     @abstractmethod
-    def _drive(self, index: int, target: Array) -> Array:
-        """Arm `index` is told to go to `target (D,)` [m]; where it is after the control step.
+    def _drive(self, indices: NDArray, targets: Array) -> Array:
+        """Arms `indices (N,)` are told to go to `targets (N, D)` [m].
 
         Adds to `counts` the physics steps of this control step in which each occurred.
+
+        Returns:
+            Where they are after the control step, `(N, D)` [m].
         """
 
     def _move(self, command: Array, noise: Array, alive: NDArray) -> tuple[Array, NDArray]:
@@ -60,10 +66,5 @@ class ArmVector(BlockReachVector):
         targets = np.clip(wanted + noise, low, high)
         reached = self.positions.copy()
         if alive.any():
-            reached[alive] = self._drive_all(np.flatnonzero(alive), targets[alive])
+            reached[alive] = self._drive(np.flatnonzero(alive), targets[alive])
         return reached, wall
-
-    def _drive_all(self, indices: NDArray, targets: Array) -> Array:
-        """`_drive` of the arms `indices (N,)` to `targets (N, D)` [m]; for who can do many."""
-        pairs = zip(indices.tolist(), targets, strict=True)
-        return np.array([self._drive(index, target) for index, target in pairs])

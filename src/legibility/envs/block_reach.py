@@ -378,6 +378,11 @@ class BlockReach(gymnasium.Env[dict[str, Any], Array]):
     }
     batch_type: ClassVar[type[BlockReachVector]]
 
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        rate = cls.batch_type.metadata["render_fps"]
+        cls.metadata = {**BlockReach.metadata, "render_fps": rate}
+
     def __init__(self, *, max_goals: int = 6, render_mode: str | None = None) -> None:
         check_render_mode(render_mode, self.metadata["render_modes"])
         # The limit on steps is Gymnasium's wrapper's.

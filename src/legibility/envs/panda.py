@@ -74,10 +74,7 @@ class PandaBlockReachVector(ArmVector):
         self._speeds[index] = 0
         return self._kinematics.grasp_point(angles)
 
-    def _drive(self, index: int, target: Array) -> Array:
-        return self._drive_all(np.array([index]), target[None])[0]
-
-    def _drive_all(self, indices: NDArray[Any], targets: Array) -> Array:
+    def _drive(self, indices: NDArray[Any], targets: Array) -> Array:
         pairs = zip(self._angles[indices], targets, strict=True)
         wanted = np.array([angles + self._kinematics.step(angles, to) for angles, to in pairs])
         wanted = np.clip(wanted, JOINT_LIMITS[0] + JOINT_MARGIN, JOINT_LIMITS[1] - JOINT_MARGIN)
@@ -214,4 +211,3 @@ class PandaBlockReach(BlockReach):
     """
 
     batch_type = PandaBlockReachVector
-    metadata = {**BlockReach.metadata, "render_fps": 25}  # noqa: RUF012

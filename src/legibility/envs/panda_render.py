@@ -22,12 +22,10 @@ from ..checks import Array, count
 from ..colors import GOALS, INK
 from ..errors import InvalidInputError
 from ..scene import Scene
+from .arm import BLOCK
 from .panda_model import import_mujoco, physics, specification
 
-__all__ = ["BLOCK", "FRONT", "Camera", "Trail", "arm_image"]
-
-BLOCK = 0.04
-"""Edge of a block [m]."""
+__all__ = ["FRONT", "Camera", "Trail", "arm_image"]
 
 _STACK, _RING = (0.80, 0.80, 0.79), 0.75 * BLOCK * 2**0.5
 _SMOOTH = 2

@@ -19,7 +19,7 @@ from PIL import Image, ImageColor
 from ..checks import Array
 from ..colors import GOALS
 from ..errors import InvalidInputError, MissingExtraError
-from .arm import BASE, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
+from .arm import BASE, BLOCK, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
 from .block_reach import BlockReach
 
 __all__ = ["PandaGymBlockReach", "PandaGymBlockReachVector"]
@@ -46,9 +46,6 @@ _LEVERS = 3e-3, 1e-5
 """How far [m] off a radian counts of the gripper's tilt, and of a joint from `HOME`, where the arm
 is placed. In the far upper corners the gripper tilts a little, so that it is in its place."""
 _MOST_STEPS, _TOLERANCE = 100, 1e-5
-
-_BLOCK = 0.04
-"""Edge of a block [m]."""
 
 _SIZE, _SHARPNESS = 480, 2
 """Pixels of a picture, and how many times as many are drawn."""
@@ -97,11 +94,13 @@ class PandaGymBlockReachVector(ArmVector):
     def _place(self, index: int, position: Array) -> Array:
         return self._worlds[index].place(position)
 
-    def _drive(self, index: int, target: Array) -> Array:
-        position, counted = self._worlds[index].drive(target, self.substeps)
-        for name, number in zip(self.counted, counted, strict=True):
-            self.counts[name][index] += number
-        return position
+    def _drive(self, indices: NDArray[Any], targets: Array) -> Array:
+        positions = np.empty_like(targets)
+        for row, index in enumerate(indices.tolist()):
+            positions[row], counted = self._worlds[index].drive(targets[row], self.substeps)
+            for name, number in zip(self.counted, counted, strict=True):
+                self.counts[name][index] += number
+        return positions
 
     def _picture(self, index: int) -> NDArray[np.uint8]:
         return _stage().picture(self._worlds[index].joints(), self.scenes[index].goals)
@@ -255,7 +254,7 @@ class _Stage(_World):
         used: dict[str, int] = {}
         for index, goal in enumerate(goals):
             self._show(GOALS[index % len(GOALS)], goal, used)
-            for below in np.arange(goal[2] - _BLOCK, _BLOCK / 4, -_BLOCK):
+            for below in np.arange(goal[2] - BLOCK, BLOCK / 4, -BLOCK):
                 self._show(_SUPPORT, np.array([*goal[:2], below]), used)
         for color, bodies in self._blocks.items():
             for body in bodies[used.get(color, 0) :]:
@@ -286,7 +285,7 @@ class _Stage(_World):
         if number == len(bodies):
             name = f"{color} {number}"
             self.sim.create_box(
-                name, np.full(3, _BLOCK / 2), 0.0, position, np.array(_rgba(color)), ghost=True
+                name, np.full(3, BLOCK / 2), 0.0, position, np.array(_rgba(color)), ghost=True
             )
             bodies.append(self.sim._bodies_idx[name])
         self._put(bodies[number], position)
@@ -355,7 +354,8 @@ class PandaGymBlockReach(BlockReach):
     The paper's simulator: the arm, table and physics of panda-gym (PyBullet), the arm standing at
     x = −0.6 on a table whose top is z = 0. The position is that of the grasp point between the
     fingertips, and the gripper points down, closed. Blocks are markers of 4 cm without contact, so
-    that the grasp point can reach their centre; what holds up a higher one is drawn grey. The
+    that the grasp point can reach their centre; what holds up a higher one is drawn grey, and the
+    picture does not mark the target. The
     interface is that of `PandaBlockReach`, its twin in MuJoCo.
 
     ## Action Space
@@ -409,4 +409,3 @@ class PandaGymBlockReach(BlockReach):
     """
 
     batch_type = PandaGymBlockReachVector
-    metadata = {**BlockReach.metadata, "render_fps": 25}  # noqa: RUF012

@@ -351,6 +351,11 @@ class _ArmView:
         picture = np.zeros((self.size[1], self.size[0], 3), dtype=np.uint8)
         self.image = self.axes.imshow(picture, aspect="auto", zorder=1)
         self.moving = [self.image]
+        planned = rollout.path.trajectory(65)
+        self.planned = [
+            (planned[i : i + 2], (*to_rgb(INK), 1.0), _TUBE / 3)
+            for i in range(0, len(planned) - 1, 2)
+        ]
 
     def show(self, step: int, tints: Array, clear: int | None) -> None:
         """See `_View`."""
@@ -359,11 +364,7 @@ class _ArmView:
         path, states = self.rollout.path, self.rollout.states
         pieces = zip(states[:step], states[1 : step + 1], tints, strict=True)
         trails = [(np.stack([a, b]), (*tint, 1.0), _TUBE) for a, b, tint in pieces]
-        planned = path.trajectory(65)
-        trails += [
-            (planned[i : i + 2], (*to_rgb(INK), 1.0), _TUBE / 3)
-            for i in range(0, len(planned) - 1, 2)
-        ]
+        trails += self.planned
         if clear is not None:
             dot = states[clear] + [[0, 0, 0], [0, 0, _TUBE / 50]]
             trails.append((dot, (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
