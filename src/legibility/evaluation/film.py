@@ -11,12 +11,11 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path as FilePath
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib import rcParams, style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
@@ -26,14 +25,14 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..checks import Array
 from ..colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
 from ..execution import Rollout
 from ..files import atomic_path
 from ..scene import Scene
-from .figures import STYLE, figure_file, flat, goal_colors, scene_axes
+from .figures import STYLE, figure_file, goal_colors
 from .statistics import CONFIDENT, clear_step
+from .views import DOTTED, ArmView, DrawnView, View, add_artist, diamond
 
 Picture = NDArray[np.uint8]
 
@@ -49,8 +48,6 @@ _COLUMNS = 5
 _DPI = {".gif": 110, ".mp4": 200}
 _EXACT = 48
 _KEYS = 5
-_DOTTED = (0, (1, 2))
-_TUBE = 0.0035
 _HOLD = 1.5
 """How long a film stands still at its end [s]."""
 
@@ -174,9 +171,9 @@ class _Stage:
                 panel.tick_params(labelleft=False)
             cell = cells[5 * row + 1, 2 * column + 1]
             view = (
-                _ArmView(figure, cell, rollout, dpi)
+                ArmView(figure, cell, rollout, dpi)
                 if rollout.joint_angles.size
-                else _DrawnView(figure, cell, rollout)
+                else DrawnView(figure, cell, rollout)
             )
             self.motions.append(_Motion(view, panel, rollout, self.colors))
         self._add_key(layout, path.target)
@@ -193,12 +190,12 @@ class _Stage:
         entries: list[tuple[Any, str]] = [
             (square(self.colors[target]), "target"),
             (tuple(map(square, others[:2])), "other goal" + "s" * (len(others) > 1)),
-            (Line2D([], [], color=INK, lw=0.7, ls=_DOTTED), "planned"),
+            (Line2D([], [], color=INK, lw=0.7, ls=DOTTED), "planned"),
             (
                 tuple(map(line, (self.colors[target], others[0]))),
                 "executed; colour: what is believed",
             ),
-            (_diamond([], []), rf"clear: $P(\mathrm{{target}})$ ≥ {CONFIDENT:g} for good"),
+            (diamond([], []), rf"clear: $P(\mathrm{{target}})$ ≥ {CONFIDENT:g} for good"),
         ]
         handles, labels = zip(*entries, strict=True)
         self.figure.legend(
@@ -238,7 +235,7 @@ class _Stage:
 class _Motion:
     """One motion and the belief under it."""
 
-    def __init__(self, view: _View, panel: Any, rollout: Rollout, colors: list[str]) -> None:
+    def __init__(self, view: View, panel: Any, rollout: Rollout, colors: list[str]) -> None:
         target = rollout.path.target
         self.view = view
         self.beliefs = rollout.posterior
@@ -255,15 +252,15 @@ class _Motion:
         title = rf"$\ell$ = {rollout.legibility:g}" + f"\nachieved {achieved}{ended}"
         view.axes.set_title(title.replace("-", "−"))
         self.label = panel.set_title("", fontsize=7, pad=2)
-        panel.axhline(CONFIDENT, color=MUTED, lw=0.6, ls=_DOTTED, zorder=0)
+        panel.axhline(CONFIDENT, color=MUTED, lw=0.6, ls=DOTTED, zorder=0)
         self.lines = [
-            _add(Line2D([], [], color=color, lw=1.8 if goal == target else 1.1,
+            add_artist(Line2D([], [], color=color, lw=1.8 if goal == target else 1.1,
                         zorder=5 if goal == target else 4), panel)
             for goal, color in enumerate(colors)
         ]  # fmt: skip
         at = slice(self.clear, self.clear + 1)
-        self.moment = _add(_diamond(self.times[at], self.beliefs[at, target]), panel)
-        self.shade = _add(
+        self.moment = add_artist(diamond(self.times[at], self.beliefs[at, target]), panel)
+        self.shade = add_artist(
             Rectangle((self.clear * self.seconds, -0.04), 0, 1.1, color=colors[target], alpha=0.15,
                       lw=0, zorder=1), panel,
         )  # fmt: skip
@@ -287,109 +284,6 @@ class _Motion:
             self.label.set_text(f"clear {after}")
         else:
             self.label.set_text("never clear" if step == self.last else "")
-
-
-class _View(Protocol):
-    """The scene with a motion in it."""
-
-    axes: Any
-    moving: list[Any]
-    """Artists that a film draws anew."""
-
-    def show(self, step: int, tints: Array, clear: int | None) -> None:
-        """How it looks after `step` control steps.
-
-        Args:
-            step: how many.
-            tints: `(step, 3)`, colours of the way so far.
-            clear: from which step on the intent is clear, if it is.
-        """
-        ...
-
-
-class _DrawnView:
-    """A point moves in a drawing of the scene."""
-
-    def __init__(self, figure: Figure, cell: Any, rollout: Rollout) -> None:
-        path = rollout.path
-        axes = scene_axes(figure, cell, path.scene, path.target, rollout.states[None], blocks=1.6)
-        self.axes, self.states = axes, flat(axes, rollout.states)
-        # A film draws these anew too, so that trails stay below them.
-        front = [artist for artist in axes.get_children() if artist.get_zorder() > 5]
-        planned = flat(axes, path.trajectory(129))
-        self.halo = _add(Line2D([], [], color="white", lw=3.2, zorder=4), axes)
-        self.trail = _add(_Trail([], linewidths=2, capstyle="round", zorder=4.1), axes)
-        plan = _add(Line2D(*planned.T, color=INK, lw=0.7, ls=_DOTTED, zorder=4.2), axes)
-        self.robot = _add(
-            Line2D([], [], marker="o", ms=4.5, color=INK, mec="white", mew=0.6, zorder=10), axes
-        )
-        self.spot = _add(_diamond([], []), axes)
-        self.moving = [*front, self.halo, self.trail, plan, self.spot, self.robot]
-
-    def show(self, step: int, tints: Array, clear: int | None) -> None:
-        """See `_View`."""
-        seen = self.states[: step + 1]
-        self.halo.set_data(*seen.T)
-        self.trail.set_segments(np.stack([seen[:-1], seen[1:]], axis=1))
-        self.trail.set_color(tints)
-        self.robot.set_data(*seen[-1:].T)
-        self.spot.set_visible(clear is not None)
-        if clear is not None:
-            self.spot.set_data(*self.states[clear : clear + 1].T)
-
-
-class _ArmView:
-    """An arm moves in a picture of the table, rendered for `dpi` pixels an inch."""
-
-    def __init__(self, figure: Figure, cell: Any, rollout: Rollout, dpi: float) -> None:
-        self.rollout = rollout
-        self.axes = figure.add_subplot(cell)
-        self.axes.set_axis_off()
-        box = self.axes.get_position()
-        width, height = figure.get_size_inches() * (box.width, box.height) * dpi
-        self.size = round(width), round(height)
-        picture = np.zeros((self.size[1], self.size[0], 3), dtype=np.uint8)
-        self.image = self.axes.imshow(picture, aspect="auto", zorder=1)
-        self.moving = [self.image]
-        planned = rollout.path.trajectory(65)
-        self.planned = [
-            (planned[i : i + 2], (*to_rgb(INK), 1.0), _TUBE / 3)
-            for i in range(0, len(planned) - 1, 2)
-        ]
-
-    def show(self, step: int, tints: Array, clear: int | None) -> None:
-        """See `_View`."""
-        from ..envs.panda_render import FRONT, arm_image
-
-        path, states = self.rollout.path, self.rollout.states
-        pieces = zip(states[:step], states[1 : step + 1], tints, strict=True)
-        trails = [(np.stack([a, b]), (*tint, 1.0), _TUBE) for a, b, tint in pieces]
-        trails += self.planned
-        if clear is not None:
-            dot = states[clear] + [[0, 0, 0], [0, 0, _TUBE / 50]]
-            trails.append((dot, (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
-        self.image.set_data(
-            arm_image(path.scene, path.target, self.rollout.joint_angles[step], trails=trails,
-                      size=self.size, camera=FRONT)
-        )  # fmt: skip
-
-
-def _add(artist: Any, axes: Any) -> Any:
-    axes.add_artist(artist).set_clip_on(False)
-    return artist
-
-
-class _Trail(LineCollection):
-    """Segments, flat already, which 3-D axes take as well."""
-
-    def do_3d_projection(self) -> float:
-        """Nothing is left to project."""
-        return 0.0
-
-
-def _diamond(x: Any, y: Any) -> Line2D:
-    """The mark of the moment from which on the intent is clear."""
-    return Line2D(x, y, ls="", marker="D", ms=4.5, color="white", mec=INK, mew=1, zorder=9)
 
 
 def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
