@@ -20,7 +20,8 @@ from legibility.models.checkpoint import load_tensors, save_tensors
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
 from legibility.models.path_policy import PathPolicy, PathPolicyConfig
-from legibility.modulator import Modulator, pretrained_names, save_stage
+from legibility.models.pretrained import pretrained_names, save_stage
+from legibility.modulator import Modulator
 from legibility.path import Path, scene_archive
 from legibility.scene import DEFAULT_SIGMA
 

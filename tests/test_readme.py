@@ -13,7 +13,8 @@ import pytest
 
 from legibility.cli import main
 from legibility.evaluation.card import dial_section, execution_section, render_card
-from legibility.modulator import Modulator, pretrained_folder, pretrained_names
+from legibility.models.pretrained import pretrained_folder, pretrained_names
+from legibility.modulator import Modulator
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

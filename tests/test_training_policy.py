@@ -21,6 +21,7 @@ from legibility.training import (
     train_policy,
     validate_policy,
 )
+from legibility.training.policy import along_paths
 
 torch.set_num_threads(1)
 
@@ -63,26 +64,27 @@ def tiny():
 
 
 def test_batches_hold_every_step(data):
-    batches = PolicyBatches(data, tiny(), SHORT, CPU)
+    batches = PolicyBatches(*along_paths(data, tiny().config), SHORT, CPU)
     steps = sum(len(a) for a in data.actions)
-    for features, actions in (batches.observed, batches.goal_only):
+    for features, actions in (batches.guided, batches.unguided):
         assert len(features) == len(actions) == steps
         assert torch.isfinite(features).all()
         assert (actions.norm(dim=-1) <= 2**0.5 + 1e-5).all()  # in limits, turned
     # The frames differ, the lengths do not.
     torch.testing.assert_close(
-        batches.observed[1].norm(dim=-1), batches.goal_only[1].norm(dim=-1), atol=1e-5, rtol=1e-5
+        batches.guided[1].norm(dim=-1), batches.unguided[1].norm(dim=-1), atol=1e-5, rtol=1e-5
     )
     # On its path the robot goes ahead.
-    assert (batches.observed[1][:, 0, 0] > 0).float().mean() > 0.9
+    assert (batches.guided[1][:, 0, 0] > 0).float().mean() > 0.9
 
 
 def test_dropped_paths_are_not_seen(data):
     model = tiny()
     torch.nn.init.normal_(model.unet.outlet.weight)
-    none = PolicyBatches(data, model, dataclasses.replace(SHORT, dropout=0.999999), CPU)
+    parts = along_paths(data, model.config)
+    none = PolicyBatches(parts[0], parts[1], dataclasses.replace(SHORT, dropout=0.999999), CPU)
     before, _ = none.loss(model, torch.Generator().manual_seed(0))
-    none.observed = [torch.full_like(x, torch.nan) for x in none.observed]
+    none.guided = [torch.full_like(x, torch.nan) for x in none.guided]
     after, _ = none.loss(model, torch.Generator().manual_seed(0))
     torch.testing.assert_close(before, after)
 

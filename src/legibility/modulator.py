@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
@@ -24,32 +23,23 @@ from .checks import (
 from .curves import NUM_WAYPOINTS, path_curve
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
 from .execution import Driver, Fleet, Policy, Rollout, follow
-from .files import file_hash, read_text, write_json
 from .intent.field import InformationPotentialField
 from .intent.metrics import SCORE_POINTS, legibility_score
-from .models.checkpoint import load_state, load_tensors, save_tensors
 from .models.frame import Frame
 from .models.path_diffuser import PathDiffuser, PathDiffuserConfig
-from .models.path_policy import PathPolicy, PathPolicyConfig
+from .models.path_policy import PathPolicy
+from .models.pretrained import load_stages, pretrained_folder, save_stage
 from .motion.archive import Archive
-from .path import Path, scene_archive
+from .path import Path, scene_archive, straight_waypoints
 from .scene import MIN_SEPARATION, Scene
 
-__all__ = ["Modulator", "pretrained_folder", "pretrained_names", "save_stage"]
-
-_FORMAT = 2
+__all__ = ["Modulator"]
 
 _ATTEMPTS = 3
 _LESS = 0.03
 _CLEARLY = 0.05
 _LEAST_COST = 1e-12
 _AT_START, _BESIDE = 1e-4, 1e-5
-
-_STAGES: dict[str, Any] = {
-    "path": (PathDiffuserConfig, PathDiffuser),
-    "policy": (PathPolicyConfig, PathPolicy),
-}
-_WEIGHTS = FilePath(__file__).parent / "weights"
 
 
 class Modulator:
@@ -98,11 +88,9 @@ class Modulator:
             CheckpointError: there are no such weights, or they are corrupted.
         """
         folder = pretrained_folder(name_or_folder)
-        entries = _read_config(folder)
-        stages = {name: _load_stage(folder, name, entry) for name, entry in entries.items()}
+        stages, training = load_stages(folder)
         if "path" not in stages:
             raise CheckpointError(f"{folder} has no stage 1")
-        training = {name: entry["training"] for name, entry in entries.items()}
         return cls(
             stages["path"], stages.get("policy"), name=folder.resolve().name, training=training
         )
@@ -296,12 +284,10 @@ class Modulator:
         return rollouts if hasattr(env.unwrapped, "num_envs") else rollouts[0]
 
     def _path(self, scene: Scene, target: int, levels: Array, drawn: Array) -> Path:
-        low, high = scene.workspace
-        inside = scene.contains(path_curve(drawn, SCORE_POINTS), 1e-6).all(-1)
-        return Path(
-            scene, target, levels, np.clip(drawn, low, high), ~inside,
-            InformationPotentialField(scene.goals, self.config.sigma),
-            self.config.alpha, self.config.label,
+        config = self.config
+        return Path.through(
+            drawn, scene, target, levels,
+            sigma=config.sigma, alpha=config.alpha, label=config.label,
         )  # fmt: skip
 
     def archive(self, scene: Scene, target: int = 0) -> Archive:
@@ -410,92 +396,12 @@ class Modulator:
             )
 
 
-def pretrained_folder(name_or_folder: str | FilePath) -> FilePath:
-    """The folder of the weights: the one that is given, or that of a name in `pretrained_names()`.
-
-    Raises:
-        CheckpointError: there is neither.
-    """
-    names = pretrained_names()
-    if str(name_or_folder) in names:
-        return _WEIGHTS / str(name_or_folder)
-    if FilePath(name_or_folder).is_dir():
-        return FilePath(name_or_folder)
-    raise CheckpointError(
-        f"there are no weights {str(name_or_folder)!r}: give a folder or one of {names}"
-    )
-
-
-def pretrained_names() -> list[str]:
-    """Names of the weights that came with the package."""
-    if not _WEIGHTS.is_dir():
-        return []
-    return sorted(p.name for p in _WEIGHTS.iterdir() if (p / "config.json").is_file())
-
-
 def levels_for(size: int, legibility: ArrayLike) -> Array:
     """ℓ `(size,)` of one for all or of as many."""
     levels = legibility_levels(legibility)
     if levels.ndim and len(levels) != size:
         raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
     return np.broadcast_to(levels, (size,)).copy()
-
-
-def save_stage(
-    folder: str | FilePath, stage: str, model: torch.nn.Module, training: dict[str, Any] | None
-) -> None:
-    """Write the weights of one stage to `folder` and its entry to `config.json` there.
-
-    Args:
-        folder: of the model; the other stage, if it is there, stays.
-        stage: `path` or `policy`.
-        model: the network.
-        training: how it was made.
-    """
-    folder = FilePath(folder)
-    entries = _read_config(folder) if (folder / "config.json").exists() else {}
-    weights = folder / f"{stage}.safetensors"
-    save_tensors(weights, model.state_dict())
-    entries[stage] = {
-        "config": model.config.to_dict(),  # pyright: ignore
-        "sha256": file_hash(weights),
-        "training": training,
-    }
-    write_json(folder / "config.json", {"format": _FORMAT, **dict(sorted(entries.items()))})
-
-
-def _read_config(folder: FilePath) -> dict[str, Any]:
-    """The entries of the stages in `config.json`, checked for their form."""
-    text = read_text(folder / "config.json", "model configuration", CheckpointError)
-    try:
-        content = json.loads(text)
-        if content.pop("format") != _FORMAT:
-            raise CheckpointError(f"{folder} has another format than {_FORMAT}")
-        for name, entry in content.items():
-            if name not in _STAGES or set(entry) != {"config", "sha256", "training"}:
-                raise CheckpointError(
-                    f"{folder}/config.json has an entry {name!r} that is not ours"
-                )
-    except CheckpointError:
-        raise
-    except (ValueError, KeyError, TypeError, AttributeError) as cause:
-        raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
-    return content
-
-
-def _load_stage(folder: FilePath, name: str, entry: dict[str, Any]) -> Any:
-    config_type, network = _STAGES[name]
-    try:
-        model = network(config_type.from_dict(entry["config"]))
-    except CheckpointError:
-        raise
-    except (ValueError, KeyError, TypeError, RuntimeError) as cause:
-        raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
-    weights = folder / f"{name}.safetensors"
-    load_state(model, load_tensors(weights)[0], weights)
-    if file_hash(weights) != entry["sha256"]:
-        raise CheckpointError(f"{weights} is not the file that {folder / 'config.json'} names")
-    return model
 
 
 def _moved(scene: Scene, start: Array) -> Scene:
@@ -519,5 +425,4 @@ def _or_straight(path: Path) -> Path:
     start, goal = path.waypoints[0], path.waypoints[-1]
     if np.linalg.norm(goal - start) >= 2 * MIN_SEPARATION * path.scene.diagonal:
         return path
-    line = start + np.linspace(0, 1, len(path.waypoints))[:, None] * (goal - start)
-    return replace(path, waypoints=line)
+    return replace(path, waypoints=straight_waypoints(start, goal))

@@ -8,13 +8,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from .checks import Array, count
-from .curves import arc_length, path_curve
+from .curves import NUM_WAYPOINTS, arc_length, path_curve
 from .intent.field import InformationPotentialField
 from .intent.metrics import SCORE_POINTS, legibility_score
 from .motion.archive import Archive, build_archive
 from .scene import Scene
 
-__all__ = ["Path", "scene_archive"]
+__all__ = ["Path", "scene_archive", "straight_waypoints"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,24 @@ class Path:
     field: InformationPotentialField
     alpha: float
     label: str
+
+    @classmethod
+    def through(
+        cls,
+        waypoints: Array,
+        scene: Scene,
+        target: int,
+        legibility: Array,
+        *,
+        sigma: float,
+        alpha: float,
+        label: str,
+    ) -> Path:
+        """A path through `waypoints (B?, K + 2, D)` [m], brought into the workspace."""
+        inside = scene.contains(path_curve(waypoints, SCORE_POINTS), 1e-6).all(-1)
+        field = InformationPotentialField(scene.goals, sigma)
+        waypoints = np.clip(waypoints, *scene.workspace)
+        return cls(scene, target, legibility, waypoints, ~inside, field, alpha, label)
 
     def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
         """The smooth curve through the waypoints, `(B?, num_points, D)` [m], in the workspace."""
@@ -77,6 +95,11 @@ class Path:
             waypoints=self.waypoints[index],
             clipped=np.asarray(self.clipped)[index],
         )
+
+
+def straight_waypoints(start: Array, goal: Array) -> Array:
+    """`(K + 2, D)` [m], the straight line from `start` to `goal (D,)` [m] as a path."""
+    return start + np.linspace(0, 1, NUM_WAYPOINTS + 2)[:, None] * (goal - start)
 
 
 @lru_cache(maxsize=32)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from legibility.files import file_hash
-from legibility.modulator import pretrained_folder
+from legibility.models.pretrained import pretrained_folder
 
 KINDS = ("dial", "closed-loop", "execution")
 PAGE = "before\n" + "".join(f"<!-- {k}-tiny -->\nold\n<!-- /{k}-tiny -->\n" for k in KINDS)

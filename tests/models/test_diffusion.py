@@ -1,5 +1,7 @@
 """The noise schedule and the sampler that both stages share."""
 
+from math import inf
+
 import pytest
 import torch
 
@@ -22,6 +24,10 @@ class TestSchedule:
             assert times[0] == diffusion_steps - 1
             assert min(times) >= 0
             assert times == sorted(set(times), reverse=True)
+            whole = sampling_timesteps(diffusion_steps, steps, to_end=True)
+            assert whole == sorted(set(whole), reverse=True)
+            assert len(whole) == steps
+            assert steps == 1 or (whole[0], whole[-1]) == (diffusion_steps - 1, 0)
 
 
 class TestSampler:
@@ -37,8 +43,23 @@ class TestSampler:
             return alpha.sqrt() * rest - (1 - alpha).sqrt() * wanted
 
         for steps in (1, 2, 5, 100):
-            found = ddim(velocity, noise, signal, steps)
+            found = ddim(velocity, noise, signal, sampling_timesteps(100, steps))
             torch.testing.assert_close(found, wanted, atol=1e-3, rtol=1e-3)
+
+    def test_bounded_it_ends_within_the_bound_however_strong_the_velocity(self):
+        noise = torch.randn(4, 8, 2, generator=torch.Generator().manual_seed(0))
+        signal = noise_schedule(100)
+        for steps in (1, 2, 10, 100):
+            times = sampling_timesteps(100, steps, to_end=True)
+            found = ddim(lambda x, t: -50 * x - 7, noise, signal, times, bound=1.5)
+            assert torch.isfinite(found).all()
+            assert found.abs().max() <= 1.5
+
+    def test_a_bound_that_is_never_met_changes_nothing(self):
+        noise = torch.randn(4, 8, 2, generator=torch.Generator().manual_seed(0))
+        signal, times = noise_schedule(100), sampling_timesteps(100, 10)
+        free, bounded = (ddim(lambda x, t: 0.3 * x, noise, signal, times, b) for b in (inf, 1e3))
+        torch.testing.assert_close(free, bounded, atol=1e-4, rtol=1e-4)
 
     def test_velocity_and_noisy_give_back_clean_and_noise(self):
         generator = torch.Generator().manual_seed(0)

@@ -24,6 +24,8 @@ _VERBS = {
     "data": "make a dataset of labelled trajectories, or describe one",
     "train path": "train stage 1, the path diffuser",
     "train policy": "train stage 2, the path-guided policy",
+    "train diffusion-policy": "train a baseline that knows the goal alone",
+    "train legibility-diffuser": "train a baseline that is guided away from the other goals",
     "evaluate dial": "measure achieved against asked legibility on scenes never seen",
     "evaluate execution": "measure executed motions and what moves them on scenes never seen",
     "report": "render measurements as tables, figures and model cards",
@@ -110,7 +112,7 @@ For a verb's own help give VERB --help, for the version --version."""
 
 def _load(name: str) -> Callable[..., Any]:
     """The function of a verb: `plan` of cli/plan.py, `path` of cli/train.py for "train path"."""
-    module, *words = name.split()
+    module, *words = name.replace("-", "_").split()
     return getattr(importlib.import_module(f".{module}", __name__), words[0] if words else module)
 
 

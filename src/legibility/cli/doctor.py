@@ -161,7 +161,8 @@ def _torch() -> dict[str, Any]:
 def _weights() -> dict[str, dict[str, Any]]:
     """By name, the sizes of the files [byte] and why they cannot be loaded."""
     with _caught() as caught:
-        from ..modulator import Modulator, pretrained_folder, pretrained_names
+        from ..models.pretrained import pretrained_folder, pretrained_names
+        from ..modulator import Modulator
 
         names = pretrained_names()
     if caught:

@@ -90,8 +90,10 @@ def span(name: str, text: str) -> tuple[int, int]:
     return low, high
 
 
-def flags(settings: type, *omitted: str) -> Any:
-    """The fields of a dataclass as flags, with its defaults and its docstring as their help.
+def flags(settings: type, *omitted: str, **defaults: Any) -> Any:
+    """The fields of a dataclass as flags, with its docstring as their help.
+
+    Those of `omitted` are left out; `defaults` are other defaults than its own.
 
     The flags are not checked yet, so that what is wrong with them is told by `made` in the
     dataclass's own words. A range is a text, see `span`.
@@ -102,7 +104,7 @@ def flags(settings: type, *omitted: str) -> Any:
         if field.name in omitted:
             continue
         kind: Any = types[field.name]
-        default: Any = field.default
+        default: Any = defaults.get(field.name, field.default)
         if kind == tuple[int, int]:
             low, high = default
             kind = Annotated[str, arg(metavar="LOW..HIGH")]

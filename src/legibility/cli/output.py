@@ -80,7 +80,7 @@ def check_folder(path: Path, what: str) -> None:
 
 def model_record(name_or_folder: str) -> dict[str, str]:
     """Which weights were used: the name that was given and the hash of each stage's file."""
-    from ..modulator import pretrained_folder
+    from ..models.pretrained import pretrained_folder
 
     folder = pretrained_folder(name_or_folder)
     try:

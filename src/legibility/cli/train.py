@@ -1,4 +1,4 @@
-"""`legibility train path` and `legibility train policy`."""
+"""`legibility train …`: the two stages, and the policies that they are compared with."""
 
 from __future__ import annotations
 
@@ -16,17 +16,20 @@ from tyro.conf import arg
 from ..dataset import Dataset, DatasetConfig, generate
 from ..demonstrations import Demonstrations
 from ..errors import InvalidInputError
+from ..models.goal_policy import GoalPolicyConfig
 from ..models.path_diffuser import PathDiffuserConfig
 from ..models.path_policy import PathPolicyConfig
-from ..modulator import save_stage
+from ..models.pretrained import save_stage
 from ..training import (
     LOG,
     PathTrainingConfig,
     PolicyTrainingConfig,
     TrainingConfig,
     choose_device,
+    train_goal,
     train_path,
     train_policy,
+    tune_guidance,
 )
 from .options import Folder, OptionalText, OutputFile, flags, made
 from .output import (
@@ -44,6 +47,9 @@ _PathTraining = flags(PathTrainingConfig)
 _PathModel = flags(PathDiffuserConfig, "dim", "sigma", "alpha", "label")  # the data fixes these
 _PolicyTraining = flags(PolicyTrainingConfig)
 _PolicyModel = flags(PathPolicyConfig, "dim", "limit")
+_GoalModel = flags(GoalPolicyConfig, "dim", "limit", "guidance", "guidance_decay", "guidance_share")
+_DiffusionPolicyTraining = flags(PolicyTrainingConfig, dropout=0.0)
+_LegibilityDiffuserTraining = flags(PolicyTrainingConfig, dropout=0.2)
 _VALIDATION_SCENES = 128
 
 
@@ -120,6 +126,96 @@ def policy(
         json: the settings and the last validation as JSON.
     """
     settings = made(PolicyTrainingConfig, training)
+    _train_on_demonstrations(
+        "policy", train_policy, vars(model), settings, data, out, validation, workers, weights,
+        device, json,
+    )  # fmt: skip
+
+
+def diffusion_policy(
+    training: Annotated[Any, arg(constructor=_DiffusionPolicyTraining)],
+    model: Annotated[Any, arg(constructor=_GoalModel)],
+    data: Annotated[Path, arg(metavar="DIR")],
+    out: Annotated[Path, arg(metavar="DIR")],
+    validation: Folder = None,
+    workers: int = 1,
+    weights: Folder = None,
+    device: OptionalText = None,
+    json: OutputFile = None,
+) -> None:
+    """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility.
+
+    Loss and closed-loop validation go to OUT/log.jsonl. Interrupted, the same command resumes from
+    the last checkpoint.
+
+    Args:
+        training: how it is trained.
+        model: the network.
+        data: folder of the demonstrations, made by `legibility data --demonstrations`.
+        out: folder of the log, the checkpoint and the weights.
+        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
+        workers: processes that make the validation data.
+        weights: where the weights are saved; OUT/weights if not given.
+        device: cpu or cuda; if not given, a GPU where there is one.
+        json: the settings and the last validation as JSON.
+    """
+    settings = made(PolicyTrainingConfig, training)
+    _train_on_demonstrations(
+        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, device,
+        json,
+    )  # fmt: skip
+
+
+def legibility_diffuser(
+    training: Annotated[Any, arg(constructor=_LegibilityDiffuserTraining)],
+    model: Annotated[Any, arg(constructor=_GoalModel)],
+    data: Annotated[Path, arg(metavar="DIR")],
+    out: Annotated[Path, arg(metavar="DIR")],
+    validation: Folder = None,
+    workers: int = 1,
+    weights: Folder = None,
+    device: OptionalText = None,
+    json: OutputFile = None,
+) -> None:
+    """Train the baseline Legibility Diffuser, then tune its guidance on the validation scenes.
+
+    It is a goal-conditioned policy whose goal is sometimes dropped in training. All combinations of
+    weight, decay and share of the guidance that were tried are recorded in the weights' config.json
+    and in the JSON, with what was measured. Interrupted, the same command resumes from the last
+    checkpoint.
+
+    Args:
+        training: how it is trained.
+        model: the network.
+        data: folder of the demonstrations, made by `legibility data --demonstrations`.
+        out: folder of the log, the checkpoint and the weights.
+        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
+        workers: processes that make the validation data.
+        weights: where the weights are saved; OUT/weights if not given.
+        device: cpu or cuda; if not given, a GPU where there is one.
+        json: the settings and the last validation as JSON.
+    """
+    settings = made(PolicyTrainingConfig, training)
+    _train_on_demonstrations(
+        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, device,
+        json, tune=True,
+    )  # fmt: skip
+
+
+def _train_on_demonstrations(
+    stage: str,
+    train_it: Callable[..., Any],
+    model: dict[str, Any],
+    settings: PolicyTrainingConfig,
+    data: Path,
+    out: Path,
+    validation: Path | None,
+    workers: int,
+    weights: Path | None,
+    device: str | None,
+    json: Path | None,
+    tune: bool = False,
+) -> None:
     check_file(json, "JSON file")
     demonstrations = Demonstrations.load(data)
     weights = weights or out / "weights"
@@ -133,11 +229,15 @@ def policy(
     }
 
     def run(progress: Callable[..., None]) -> nn.Module:
-        return train_policy(
-            demonstrations, checks, out, settings, device=device, progress=progress, **vars(model)
+        trained = train_it(
+            demonstrations, checks, out, settings, device=device, progress=progress, **model
         )
+        if tune:
+            chosen, facts["tuning"] = tune_guidance(trained, checks)
+            trained.config = replace(trained.config, **chosen)
+        return trained
 
-    _train("policy", run, settings, facts, checks.digest, out, weights, device, json)
+    _train(stage, run, settings, facts, checks.digest, out, weights, device, json)
 
 
 def _train(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -33,19 +34,24 @@ def noised(clean: Tensor, noise: Tensor, signal: Tensor) -> tuple[Tensor, Tensor
     return noisy, signal.sqrt() * noise - (1 - signal).sqrt() * clean
 
 
-def sampling_timesteps(diffusion_steps: int, steps: int) -> list[int]:
+def sampling_timesteps(diffusion_steps: int, steps: int, *, to_end: bool = False) -> list[int]:
     """`steps` of the diffusion steps, falling, evenly spaced from the last one to the middle.
 
     With zero terminal signal the first must be at pure noise (Lin et al. 2024). Under less noise
-    than the middle's there is nothing left to choose, so few steps end there.
+    than the middle's there is nothing left to choose for a model that knows all it needs, so few
+    steps end there; `to_end`, they go on to the first diffusion step.
     """
     last = diffusion_steps - 1
-    end = min(last // 2, diffusion_steps - steps)
+    end = 0 if to_end else min(last // 2, diffusion_steps - steps)
     return [round(last - (last - end) * i / max(1, steps - 1)) for i in range(steps)]
 
 
 def ddim(
-    velocity: Callable[[Tensor, Tensor], Tensor], noise: Tensor, signal: Tensor, steps: int
+    velocity: Callable[[Tensor, Tensor], Tensor],
+    noise: Tensor,
+    signal: Tensor,
+    times: Sequence[int],
+    bound: float = math.inf,
 ) -> Tensor:
     """Denoise `noise (B, K, D)` deterministically (Song et al. 2021); the same noise, the same end.
 
@@ -53,15 +59,18 @@ def ddim(
         velocity: v of a noisy latent `(B, K, D)` and its timestep `(B,)`.
         noise: standard normal.
         signal: ᾱ at each diffusion step, `(S,)`.
-        steps: how many to take.
+        times: the diffusion steps to take, falling from the last, see `sampling_timesteps`.
+        bound: what is denoised is clipped to ±`bound` at each step, which keeps strong guidance
+            from running away.
     """
-    times = sampling_timesteps(len(signal), steps)
     latent = clean = noise
     for time, after in zip(times, [*times[1:], None], strict=True):
         v = velocity(latent, torch.full(noise.shape[:1], time, device=noise.device))
         kept, lost = signal[time].sqrt(), (1 - signal[time]).sqrt()
-        clean = kept * latent - lost * v
+        clean, residue = kept * latent - lost * v, lost * latent + kept * v
+        if math.isfinite(bound):
+            clean = clean.clamp(-bound, bound)
+            residue = (latent - kept * clean) / lost
         if after is not None:
-            residue = lost * latent + kept * v
             latent = signal[after].sqrt() * clean + (1 - signal[after]).sqrt() * residue
     return clean

@@ -16,7 +16,7 @@ from ..errors import CheckpointError, InvalidInputError
 from ..intent.field import InformationPotentialField
 from ..intent.labels import LABELS
 from ..scene import Scene
-from .diffusion import ddim
+from .diffusion import ddim, sampling_timesteps
 from .frame import DEPTH, FIELD_CHANNELS, scene_image, scene_odds, scene_vector, vector_size
 from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fourier
 
@@ -309,5 +309,5 @@ class PathDiffuser(nn.Module):
             guided, free = found.chunk(2)
             return guided + weight * (guided - free)
 
-        steps = steps or self.config.sampling_steps
-        return self.from_latent(ddim(velocity, noise, self.signal, steps))
+        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
+        return self.from_latent(ddim(velocity, noise, self.signal, times))

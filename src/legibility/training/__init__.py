@@ -1,5 +1,6 @@
 """How weights are made: one loop for every model, and what each is trained on."""
 
+from .goal import train_goal, tune_guidance, validate_goal
 from .loop import CHECKPOINT, LOG, TrainingConfig, choose_device, train
 from .path import FrameScorer, PathBatches, PathTrainingConfig, train_path, validate_dial
 from .policy import PolicyBatches, PolicyTrainingConfig, train_policy, validate_policy
@@ -15,8 +16,11 @@ __all__ = [
     "TrainingConfig",
     "choose_device",
     "train",
+    "train_goal",
     "train_path",
     "train_policy",
+    "tune_guidance",
     "validate_dial",
+    "validate_goal",
     "validate_policy",
 ]

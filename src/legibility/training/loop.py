@@ -40,7 +40,7 @@ class TrainingConfig:
         warmup: steps of linear warm-up.
         weight_decay: of AdamW.
         dropout: probability that what guides the model is dropped: field and ℓ together of stage 1,
-            the path of stage 2.
+            the path of stage 2, the goal of a baseline.
         ema: decay of the exponential moving average of the weights, which is what is kept.
         seed: of the weights and of every batch.
         validate_every: steps between validations of the dial.

@@ -1,13 +1,15 @@
-"""How stage 2 is trained: its batches, its loss, and closed-loop rollouts on validation scenes."""
+"""How policies are trained: batches, loss, and stage 2 in closed loop on validation scenes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -18,8 +20,8 @@ from ..demonstrations import Demonstrations
 from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..execution import Fleet, Policy, follow
-from ..intent.field import InformationPotentialField
 from ..models.diffusion import noise_schedule, noised
+from ..models.goal_policy import GoalPolicy
 from ..models.path_policy import Observation, PathPolicy, PathPolicyConfig
 from ..motion.tracking import PathTracker
 from ..path import Path
@@ -30,7 +32,7 @@ __all__ = ["PolicyBatches", "PolicyTrainingConfig", "train_policy", "validate_po
 
 @dataclass(frozen=True)
 class PolicyTrainingConfig(TrainingConfig):
-    """How stage 2 is trained.
+    """How a policy is trained.
 
     Attributes:
         batch: steps of demonstrations in a batch.
@@ -45,37 +47,43 @@ class PolicyTrainingConfig(TrainingConfig):
 
 
 class PolicyBatches:
-    """Every step of the demonstrations as tensors, and the loss of stage 2 over random batches."""
+    """Every step of the demonstrations as tensors, and the loss of a policy over random batches.
+
+    Args:
+        guided: features `(M, F)` and chunks of actions `(M, chunk, D)` of each of all M steps, with
+            what guides the policy.
+        unguided: the same without it.
+        config: how to train.
+        device: where to.
+    """
 
     def __init__(
         self,
-        data: Demonstrations,
-        model: PathPolicy,
+        guided: Sequence[Array],
+        unguided: Sequence[Array],
         config: PolicyTrainingConfig,
         device: torch.device,
     ) -> None:
         self.config = config
         self.device = device
-        seen = _observed(data, model.config)
-        self.observed, self.goal_only = (
-            [torch.from_numpy(x.astype(np.float32)).to(device) for x in parts] for parts in seen
+        self.guided, self.unguided = (
+            [torch.from_numpy(x.astype(np.float32)).to(device) for x in parts]
+            for parts in (guided, unguided)
         )
 
     def loss(
-        self, model: PathPolicy, generator: torch.Generator
+        self, model: PathPolicy | GoalPolicy, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Squared error of the velocity."""
-        size, shape = self.config.batch, self.observed[1].shape[1:]
-        chosen = torch.randint(len(self.observed[0]), (size,), generator=generator)
+        size, shape = self.config.batch, self.guided[1].shape[1:]
+        chosen = torch.randint(len(self.guided[0]), (size,), generator=generator)
         timestep = torch.randint(model.config.diffusion_steps, (size,), generator=generator)
         noise = torch.randn(size, *shape, generator=generator)
         keep = torch.rand(size, generator=generator) >= self.config.dropout
         chosen, timestep, noise, keep = (x.to(self.device) for x in (chosen, timestep, noise, keep))
         features, actions = (
-            torch.where(
-                keep.view(-1, *[1] * (with_path.ndim - 1)), with_path[chosen], without[chosen]
-            )
-            for with_path, without in zip(self.observed, self.goal_only, strict=True)
+            torch.where(keep.view(-1, *[1] * (known.ndim - 1)), known[chosen], without[chosen])
+            for known, without in zip(self.guided, self.unguided, strict=True)
         )
         noisy, velocity = noised(actions / model.scale, noise, model.signal[timestep, None, None])
         predicted = model(noisy, timestep, model.encode(features, keep))
@@ -84,35 +92,46 @@ class PolicyBatches:
 
     def scale(self) -> Tensor:
         """Root mean square of the actions, in limits."""
-        return self.observed[1].square().mean().sqrt()
+        return self.guided[1].square().mean().sqrt()
 
 
-def _observed(data: Demonstrations, config: PathPolicyConfig) -> list[tuple[Array, Array]]:
+def along_paths(data: Demonstrations, config: PathPolicyConfig) -> list[list[Array]]:
     """Features `(M, F)` and chunks of actions `(M, chunk, D)` of each of all M steps.
 
     Once as the policy sees them with the path, once without it.
     """
-    lengths = np.array([len(a) for a in data.actions])
-    longest, dim = lengths.max(), config.dim
-    states = np.stack([_extended(s, longest + 1) for s in data.states])
-    actions = np.zeros((len(data), longest + config.chunk, dim))
-    for row, own in zip(actions, data.actions, strict=True):
-        row[: len(own)] = own
     tracker = PathTracker(data.paths, data.limit, data.workspace)
     goals = data.paths[:, -1]
     found: list[list[list[Array]]] = [[[], []], [[], []]]
-    for t in range(longest):
-        now, before = states[:, t], states[:, max(t - 1, 0)]
-        if t:
-            tracker.update(now, before)
-        rows = np.flatnonzero(t < lengths)
-        chunk = actions[rows, t : t + config.chunk] / data.limit
+    for rows, now, before, chunk in moments(data, config.chunk, tracker):
         part = tracker.of(rows)
         for kind, along in zip(found, (part, None), strict=True):
-            seen = Observation.of(now[rows], before[rows], goals[rows], data.limit, along)
+            seen = Observation.of(now, before, goals[rows], data.limit, along)
             kind[0].append(seen.features)
             kind[1].append(chunk @ seen.rotation.swapaxes(1, 2))
-    return [(np.concatenate(f), np.concatenate(a)) for f, a in found]
+    return [[np.concatenate(parts) for parts in kind] for kind in found]
+
+
+def moments(
+    data: Demonstrations, size: int, tracker: PathTracker | None = None
+) -> Iterator[tuple[NDArray[np.intp], Array, Array, Array]]:
+    """Of each time in turn which demonstrations go on, where they are, were, and do next.
+
+    Indices `(N,)`, positions `(N, D)` now and one step before [m], chunks of the next `size`
+    actions `(N, size, D)` in limits; after the last they are 0. A `tracker` of all is kept up.
+    """
+    lengths = np.array([len(a) for a in data.actions])
+    longest = lengths.max()
+    states = np.stack([_extended(s, longest + 1) for s in data.states])
+    actions = np.zeros((len(data), longest + size, data.paths.shape[-1]))
+    for row, own in zip(actions, data.actions, strict=True):
+        row[: len(own)] = own
+    for t in range(longest):
+        now, before = states[:, t], states[:, max(t - 1, 0)]
+        if t and tracker is not None:
+            tracker.update(now, before)
+        rows = np.flatnonzero(t < lengths)
+        yield rows, now[rows], before[rows], actions[rows, t : t + size] / data.limit
 
 
 def _extended(states: Array, size: int) -> Array:
@@ -145,18 +164,37 @@ def train_policy(
         The trained model, on the CPU.
     """
     config = config or PolicyTrainingConfig()
-    if validation.config.stream == "evaluation":
-        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
     settings |= {"dim": data.paths.shape[-1], "limit": data.limit}
-    if validation.config.dim != settings["dim"]:
-        raise InvalidInputError(
-            f"the validation data are {validation.config.dim}-D, the data {settings['dim']}-D"
-        )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         model = PathPolicy(PathPolicyConfig(**settings))
+    parts = along_paths(data, model.config)
+    return fit(model, parts, data, validation, folder, config, validate_policy, device, progress)
+
+
+P = TypeVar("P", PathPolicy, GoalPolicy)
+
+
+def fit(
+    model: P,
+    parts: list[list[Array]],
+    data: Demonstrations,
+    validation: Dataset,
+    folder: str | FilePath,
+    config: PolicyTrainingConfig,
+    validate: Callable[[P, Dataset], dict[str, float]],
+    device: str | None,
+    progress: Progress,
+) -> P:
+    """Train a policy on `parts`, guided and unguided, of `data`; see `train_policy`."""
+    if validation.config.stream == "evaluation":
+        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
+    if validation.config.dim != model.config.dim:
+        raise InvalidInputError(
+            f"the validation data are {validation.config.dim}-D, the data {model.config.dim}-D"
+        )
     where = choose_device(device)
-    batches = PolicyBatches(data, model, config, where)
+    batches = PolicyBatches(parts[0], parts[1], config, where)
     model = model.to(where)
     model.signal.copy_(noise_schedule(model.config.diffusion_steps))
     model.scale.copy_(batches.scale())
@@ -164,7 +202,7 @@ def train_policy(
     trained = train(
         model,
         batches.loss,
-        lambda m: validate_policy(m, validation),
+        lambda m: validate(m, validation),
         config,
         folder,
         identity=identity,
@@ -183,11 +221,10 @@ def validate_policy(model: PathPolicy, validation: Dataset, paths: int = 2) -> d
     plans = []
     for number, (scene, index) in enumerate(zip(scenes, chosen, strict=True)):
         inner = validation.waypoints[number // paths, index].astype(np.float64)
-        field = InformationPotentialField(scene.goals, config.sigma)
-        plans.append(Path(
+        plans.append(Path.through(
+            np.concatenate([scene.start[None], inner, scene.goals[:1]]),
             scene, 0, validation.labels[number // paths, index],
-            np.concatenate([scene.start[None], inner, scene.goals[:1]]), np.False_,
-            field, config.alpha, config.label,
+            sigma=config.sigma, alpha=config.alpha, label=config.label,
         ))  # fmt: skip
     env = vector_type(None, config.dim)(len(scenes))
     env.reset(seed=0, options={"scene": scenes})

@@ -1,0 +1,1 @@
+"""What the modulator is compared with: other policies, and search without learning."""

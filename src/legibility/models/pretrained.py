@@ -1,0 +1,118 @@
+"""Weights of models in folders: `config.json` and a file of tensors for each stage."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..errors import CheckpointError
+from ..files import file_hash, read_text, write_json
+from .checkpoint import load_state, load_tensors, save_tensors
+from .goal_policy import GoalPolicy, GoalPolicyConfig
+from .path_diffuser import PathDiffuser, PathDiffuserConfig
+from .path_policy import PathPolicy, PathPolicyConfig
+
+__all__ = ["load_stages", "pretrained_folder", "pretrained_names", "save_stage"]
+
+_FORMAT = 2
+
+_STAGES: dict[str, Any] = {
+    "path": (PathDiffuserConfig, PathDiffuser),
+    "policy": (PathPolicyConfig, PathPolicy),
+    "goal": (GoalPolicyConfig, GoalPolicy),
+}
+"""Of each stage its settings and its network; `goal` is the baselines' one stage."""
+
+_WEIGHTS = Path(__file__).parent.parent / "weights"
+
+
+def pretrained_folder(name_or_folder: str | Path) -> Path:
+    """The folder of the weights: the one that is given, or that of a name that the package knows.
+
+    Raises:
+        CheckpointError: there is neither.
+    """
+    names = sorted({name for stage in _STAGES for name in pretrained_names(stage)})
+    if str(name_or_folder) in names:
+        return _WEIGHTS / str(name_or_folder)
+    if Path(name_or_folder).is_dir():
+        return Path(name_or_folder)
+    raise CheckpointError(
+        f"there are no weights {str(name_or_folder)!r}: give a folder or one of {names}"
+    )
+
+
+def pretrained_names(stage: str = "path") -> list[str]:
+    """Names of the weights that came with the package and have a `stage`, see `load_stages`."""
+    return sorted(f.parent.name for f in _WEIGHTS.glob(f"*/{stage}.safetensors"))
+
+
+def save_stage(
+    folder: str | Path, stage: str, model: torch.nn.Module, training: dict[str, Any] | None
+) -> None:
+    """Write the weights of one stage to `folder` and its entry to `config.json` there.
+
+    Args:
+        folder: of the model; the other stage, if it is there, stays.
+        stage: `path` or `policy`.
+        model: the network.
+        training: how it was made.
+    """
+    folder = Path(folder)
+    entries = _read_config(folder) if (folder / "config.json").exists() else {}
+    weights = folder / f"{stage}.safetensors"
+    save_tensors(weights, model.state_dict())
+    entries[stage] = {
+        "config": model.config.to_dict(),  # pyright: ignore
+        "sha256": file_hash(weights),
+        "training": training,
+    }
+    write_json(folder / "config.json", {"format": _FORMAT, **dict(sorted(entries.items()))})
+
+
+def load_stages(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The networks in `folder` by stage, and how each was trained.
+
+    Raises:
+        CheckpointError: there are none, or they are corrupted.
+    """
+    entries = _read_config(folder)
+    stages = {name: _load_stage(folder, name, entry) for name, entry in entries.items()}
+    return stages, {name: entry["training"] for name, entry in entries.items()}
+
+
+def _read_config(folder: Path) -> dict[str, Any]:
+    """The entries of the stages in `config.json`, checked for their form."""
+    text = read_text(folder / "config.json", "model configuration", CheckpointError)
+    try:
+        content = json.loads(text)
+        if content.pop("format") != _FORMAT:
+            raise CheckpointError(f"{folder} has another format than {_FORMAT}")
+        for name, entry in content.items():
+            if name not in _STAGES or set(entry) != {"config", "sha256", "training"}:
+                raise CheckpointError(
+                    f"{folder}/config.json has an entry {name!r} that is not ours"
+                )
+    except CheckpointError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError) as cause:
+        raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
+    return content
+
+
+def _load_stage(folder: Path, name: str, entry: dict[str, Any]) -> Any:
+    config_type, network = _STAGES[name]
+    try:
+        model = network(config_type.from_dict(entry["config"]))
+    except CheckpointError:
+        raise
+    except (ValueError, KeyError, TypeError, RuntimeError) as cause:
+        raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
+    weights = folder / f"{name}.safetensors"
+    load_state(model, load_tensors(weights)[0], weights)
+    if file_hash(weights) != entry["sha256"]:
+        raise CheckpointError(f"{weights} is not the file that {folder / 'config.json'} names")
+    return model
