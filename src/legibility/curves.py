@@ -8,7 +8,14 @@ import numpy as np
 
 from .checks import Array
 
-__all__ = ["arc_length", "farthest_from_segment", "path_curve", "resample", "spline_matrix"]
+__all__ = [
+    "arc_length",
+    "farthest_from_segment",
+    "path_curve",
+    "resample",
+    "spaced",
+    "spline_matrix",
+]
 
 
 NUM_WAYPOINTS = 8
@@ -64,6 +71,19 @@ def resample(trajectory: Array, num_points: int) -> Array:
     points = low + weight * (high - low)
     points[..., [0, -1], :] = trajectory[..., [0, -1], :]  # free of rounding
     return points
+
+
+def spaced(trajectory: Array, spacing: float) -> Array:
+    """The points of one trajectory `(T, D)` [m] at every `spacing` [m] of its length.
+
+    The end is left out unless it is at a multiple of the spacing.
+    """
+    cumulative = cumulative_length(trajectory)
+    moving = np.concatenate([[True], np.diff(cumulative) > 0])
+    number = int(cumulative[-1] / spacing + 1e-9) + 1
+    wanted = np.minimum(spacing * np.arange(number), cumulative[-1])
+    columns = [np.interp(wanted, cumulative[moving], x[moving]) for x in trajectory.T]
+    return np.stack(columns, axis=-1)
 
 
 @functools.lru_cache(maxsize=32)

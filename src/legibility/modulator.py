@@ -120,8 +120,9 @@ class Modulator:
             legibility: ℓ in [−1, 1], a number or `(B,)`.
             seed: of the paths drawn.
             num_candidates: paths drawn for each ℓ; all are scored exactly and the one whose
-                achieved label is nearest to ℓ is returned. More than one needs the scene's archive,
-                which is built once (about 0.15 s) and kept.
+                achieved label is nearest to ℓ is returned; at ±1 the most legible or ambiguous
+                one, whether or not the archive holds any like it. Between, more than one needs the
+                scene's archive, which is built once (about 0.15 s) and kept.
             guidance: weight of classifier-free guidance at ±1; the model's own if not given.
             steps: of the sampler; the model's own if not given.
 
@@ -139,10 +140,8 @@ class Modulator:
         draw = self._draw_on_its_side if num_candidates == 1 else self._draw
         drawn = draw([scene], [target], asked, seed, guidance, steps)
         if num_candidates > 1:
-            archive = self.archive(scene, target)
-            scores = self._path(scene, target, asked, drawn).score
-            errors = np.abs(archive.label_of(scores) - asked)
-            best = np.argmin(errors.reshape(-1, num_candidates), axis=1)
+            scores = self._path(scene, target, asked, drawn).score.reshape(-1, num_candidates)
+            best = self._nearest(scene, target, np.atleast_1d(levels), scores)
             drawn = drawn[np.arange(len(best)) * num_candidates + best]
         return self._path(scene, target, levels, drawn if levels.ndim else drawn[0])
 
@@ -153,16 +152,18 @@ class Modulator:
         legibility: ArrayLike,
         *,
         seed: int = 0,
+        num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
     ) -> list[Path]:
-        """One path in each of many scenes, all drawn at once.
+        """One path in each of many scenes, all drawn at once if there are no candidates.
 
         Args:
             scenes: `B` of the model's dimension.
             targets: `(B,)`, index of the goal that is meant in each.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             seed: of the paths drawn.
+            num_candidates: see `plan`.
             guidance: weight of classifier-free guidance at ±1; the model's own if not given.
             steps: of the sampler; the model's own if not given.
 
@@ -180,6 +181,15 @@ class Modulator:
             )
         chosen = [target_index(t, s.num_goals) for s, t in zip(scenes, targets, strict=True)]
         levels = levels_for(len(scenes), legibility)
+        if count("num_candidates", num_candidates) > 1:
+            words = np.random.SeedSequence(random_seed("seed", seed)).generate_state(len(scenes))
+            options: dict[str, Any] = {"guidance": guidance, "steps": steps}
+            return [
+                self.plan(
+                    scene, target, level, seed=int(word), num_candidates=num_candidates, **options
+                )
+                for scene, target, level, word in zip(scenes, chosen, levels, words, strict=True)
+            ]
         guidance, steps = self._sampler(guidance, steps)
         drawn = self._draw_on_its_side(
             scenes, chosen, levels, random_seed("seed", seed), guidance, steps
@@ -196,6 +206,7 @@ class Modulator:
         path: Path | Sequence[Path] | None = None,
         replan: bool = True,
         tolerance: float | None = None,
+        num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
         driver: Driver | None = None,
@@ -217,6 +228,7 @@ class Modulator:
                 moved; else it goes back to the path. Nearer to the goal than training ever started
                 the rest is straight.
             tolerance: [m]; the largest action's length if not given.
+            num_candidates: paths drawn for each ℓ, see `plan`.
             guidance: of stage 1, see `plan`.
             steps: of stage 1's sampler, see `plan`.
             driver: moves the robots instead of stage 2.
@@ -261,7 +273,9 @@ class Modulator:
                     f"target must be one for all or {fleet.size}, got {len(wanted)}"
                 )
             fleet.set_targets(wanted)
-        options: dict[str, Any] = {"guidance": guidance, "steps": steps}
+        options: dict[str, Any] = {
+            "num_candidates": num_candidates, "guidance": guidance, "steps": steps
+        }  # fmt: skip
         here = [
             _moved(scene, position)
             for scene, position in zip(fleet.scenes, fleet.positions, strict=True)
@@ -351,6 +365,18 @@ class Modulator:
             costs = -legibility_score(curves, field, target, self.config.alpha)
             ratio[row] = (costs[:-1] + _LEAST_COST) / (costs[-1] + _LEAST_COST)
         return np.flatnonzero(np.log(ratio) * np.sign(levels) > _CLEARLY)
+
+    def _nearest(self, scene: Scene, target: int, levels: Array, scores: Array) -> NDArray[np.intp]:
+        """Index `(B,)` of the candidate that is nearest to each of `levels (B,)`.
+
+        Labels end at ±1, scores do not: there it is the most extreme one.
+        """
+        best = np.argmax(np.sign(levels)[:, None] * scores, axis=1)
+        between = np.abs(levels) < 1
+        if between.any():
+            labels = self.archive(scene, target).label_of(scores[between])
+            best[between] = np.argmin(np.abs(labels - levels[between, None]), axis=1)
+        return best
 
     @torch.inference_mode()
     def _draw(

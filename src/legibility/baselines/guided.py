@@ -62,7 +62,7 @@ class GuidedPolicy:
     ) -> Array:
         """See `Driver`."""
         config = self.model.config
-        guidance = config.guidance * config.guidance_decay ** self.chunks[rows]
+        guidance = config.guidance * config.guidance_decay ** self.chunks[rows].astype(np.float64)
         self.chunks[rows] += 1
         others = self.others[rows] if config.guidance else self.others[rows, :0]
         seen = [goals[rows], *others.swapaxes(0, 1), *[None] * bool(config.guidance)]

@@ -28,6 +28,8 @@ _VERBS = {
     "train legibility-diffuser": "train a baseline that is guided away from the other goals",
     "evaluate dial": "measure achieved against asked legibility on scenes never seen",
     "evaluate execution": "measure executed motions and what moves them on scenes never seen",
+    "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
+    "evaluate unseen": "the same methods in scenes never seen, over each scene's oracle",
     "report": "render measurements as tables, figures and model cards",
     "doctor": "tell what is installed, what works here, and what to do about the rest",
 }

@@ -1,4 +1,4 @@
-"""`legibility evaluate dial` and `legibility evaluate execution`."""
+"""`legibility evaluate …`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from ..errors import CheckpointError
+from ..evaluation.comparison import METHODS, METRICS, TESTED
 from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
 from ..evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
+from ..evaluation.table1 import TARGETS, Table1Config, evaluate_table1
+from ..evaluation.unseen import UnseenConfig, evaluate_unseen
+from ..models.goal_policy import GoalPolicy
+from ..models.pretrained import load_stages, pretrained_folder
 from ..modulator import Modulator
-from .options import MODEL, OutputFile, flags, made
+from .options import MODEL, MODELS, OptionalText, OutputFile, flags, made
 from .output import (
     check_figure,
     check_file,
@@ -18,11 +24,14 @@ from .output import (
     number,
     progress_bar,
     show,
+    significant,
     table,
     write_report,
 )
 
 _Flags = flags(DialConfig)
+_Table1 = flags(Table1Config)
+_Unseen = flags(UnseenConfig)
 _Execution = flags(ExecutionConfig)
 
 
@@ -123,3 +132,129 @@ def execution(
         f"{number(result['rollouts_per_second'], 0)} rollouts a second, "
         f"{result['at_once']} at once on {result['threads']} threads",
     )
+
+
+def table1(
+    evaluation: Annotated[Any, arg(constructor=_Table1)],
+    model: OptionalText = None,
+    diffusion_policy: OptionalText = None,
+    legibility_diffuser: OptionalText = None,
+    json: OutputFile = None,
+) -> None:
+    """The paper's Table I: the most legible motions of every method, executed, with statistics.
+
+    Its scene has two goals, R and G. The modulator, with one path and as the best of 64, is held
+    against Diffusion Policy, Legibility Diffuser, the straight line, random search in the same and
+    in ten times the time, and the archive's most legible trajectory.
+
+    Args:
+        evaluation: what is evaluated.
+        model: weights of the modulator, a name or a folder; those of the environment's dimension if
+            not given.
+        diffusion_policy: weights of that baseline, likewise.
+        legibility_diffuser: weights of that baseline, likewise.
+        json: everything as JSON.
+    """
+    settings = made(Table1Config, evaluation)
+    check_file(json, "JSON file")
+    modulator, policies, used, others = _contestants(
+        settings.env, model, diffusion_policy, legibility_diffuser
+    )
+    with progress_bar("rollouts") as progress:
+        result = evaluate_table1(modulator, policies, settings, progress=progress)
+    write_report(
+        json, seed=settings.seed, config=asdict(settings), model=used, baselines=others,
+        result=result,
+    )  # fmt: skip
+    for letter in TARGETS:
+        rows = table(
+            f"target {letter}, {settings.rollouts} rollouts in {result['env']}",
+            "method", "success", "L_d ↑", "over oracle", "L_p ↓", "over oracle", "length",
+            "achieved ℓ", "confident at", "Dragan", "plan [ms]", "motion [ms]", text_columns=1,
+        )  # fmt: skip
+        oracle = result["oracle"][letter]
+        for name, method in result["methods"].items():
+            own, times = method["targets"][letter], method["milliseconds"]
+            means = {metric: own[metric]["mean"] for metric in METRICS}
+            rows.add_row(
+                METHODS[name].text,
+                number(own["success"]["mean"], 2),
+                *(
+                    text
+                    for metric in TESTED
+                    for text in (
+                        significant(means[metric]), number(means[metric] / oracle[metric])
+                    )
+                ),
+                *(number(means[metric]) for metric in METRICS if metric not in TESTED),
+                *(number(times[what], 1) if times else "" for what in ("plan", "motion")),
+            )  # fmt: skip
+        show(rows)
+
+
+def unseen(
+    evaluation: Annotated[Any, arg(constructor=_Unseen)],
+    model: OptionalText = None,
+    diffusion_policy: OptionalText = None,
+    legibility_diffuser: OptionalText = None,
+    json: OutputFile = None,
+) -> None:
+    """The methods of table1 in random scenes that training never drew, over each scene's oracle.
+
+    Args:
+        evaluation: what is evaluated.
+        model: weights of the modulator, a name or a folder; those of the environment's dimension if
+            not given.
+        diffusion_policy: weights of that baseline, likewise.
+        legibility_diffuser: weights of that baseline, likewise.
+        json: everything as JSON.
+    """
+    settings = made(UnseenConfig, evaluation)
+    check_file(json, "JSON file")
+    modulator, policies, used, others = _contestants(
+        settings.env, model, diffusion_policy, legibility_diffuser
+    )
+    with progress_bar("rollouts") as progress:
+        result = evaluate_unseen(modulator, policies, settings, progress=progress)
+    write_report(
+        json, seed=settings.seed, config=asdict(settings), model=used, baselines=others,
+        result=result,
+    )  # fmt: skip
+    rows = table(
+        f"{settings.scenes} scenes in {result['env']}; L_d and L_p over the oracle's, medians",
+        "method", "success", "L_d ↑", "L_p ↓", "length", "achieved ℓ when asked 1", "Spearman",
+        "error of ℓ", text_columns=1,
+    )  # fmt: skip
+    for name, method in result["methods"].items():
+        rows.add_row(
+            METHODS[name].text,
+            number(method["success"]["mean"], 4),
+            *(number(method["ratio"][metric]["median"]) for metric in TESTED),
+            *(number(method[metric]["mean"]) for metric in ("length_ratio", "achieved")),
+            *(
+                number(method[key]["mean"], 4) if key in method else ""
+                for key in ("spearman", "error")
+            ),
+        )
+    show(rows)
+
+
+def _contestants(
+    env: str, model: str | None, diffusion_policy: str | None, legibility_diffuser: str | None
+) -> tuple[Modulator, dict[str, GoalPolicy], dict[str, str], list[dict[str, str]]]:
+    """The models, and what is recorded of the modulator and of the baselines."""
+    robot = "2d" if env == "2d" else "panda"
+    name = model or MODELS[2 if env == "2d" else 3]
+    names = {
+        "diffusion policy": diffusion_policy or f"diffusion-policy-{robot}",
+        "legibility diffuser": legibility_diffuser or f"legibility-diffuser-{robot}",
+    }
+    policies = {}
+    for method, weights in names.items():
+        stages, _ = load_stages(pretrained_folder(weights))
+        if "goal" not in stages:
+            raise CheckpointError(f"{weights} has no goal-conditioned policy")
+        policies[method] = stages["goal"].eval().requires_grad_(False)
+    modulator = Modulator.from_pretrained(name)
+    others = [model_record(weights) for weights in names.values()]
+    return modulator, policies, model_record(name), others

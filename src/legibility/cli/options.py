@@ -18,6 +18,7 @@ from ..scene import Scene
 
 __all__ = [
     "MODEL",
+    "MODELS",
     "Folder",
     "OptionalFloat",
     "OptionalInt",
@@ -34,7 +35,8 @@ __all__ = [
 MODEL = "block-reach-2d"
 """The model that is evaluated if none is given."""
 
-_MODELS = {2: MODEL, 3: "panda-block-reach"}
+MODELS = {2: MODEL, 3: "panda-block-reach"}
+"""The modulator's weights by dimension."""
 
 SceneFile = Annotated[Positional[Path], arg(metavar="SCENE", help_behavior_hint="")]
 OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
@@ -76,7 +78,7 @@ def levels(entries: Sequence[str]) -> Array:
 
 def model_of(name: str | None, scene: Scene) -> str:
     """The model that is asked for, or that of the scene's dimension."""
-    return _MODELS[scene.dim] if name is None else name
+    return MODELS[scene.dim] if name is None else name
 
 
 def span(name: str, text: str) -> tuple[int, int]:

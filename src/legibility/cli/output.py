@@ -97,6 +97,7 @@ def write_report(
     config: dict[str, Any],
     result: dict[str, Any],
     model: dict[str, str] | None = None,
+    baselines: list[dict[str, str]] | None = None,
 ) -> None:
     """Write what was computed, and what it takes to compute it again, to a JSON `file`, if any."""
     from .. import __version__
@@ -109,6 +110,7 @@ def write_report(
         "seed": seed,
         "config": config,
         **({"model": model} if model else {}),
+        **({"baselines": baselines} if baselines else {}),
         "result": result,
     }
     write_json(file, _plain(content))

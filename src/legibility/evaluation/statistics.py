@@ -1,8 +1,9 @@
-"""Statistics of the evaluations: intervals over scenes and of shares."""
+"""Statistics of the evaluations: intervals over scenes and of shares, paired tests."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,8 @@ __all__ = [
     "CONFIDENT",
     "bootstrap_interval",
     "clear_step",
+    "holm",
+    "paired_test",
     "rank_correlation",
     "share_interval",
     "summary",
@@ -47,6 +50,46 @@ def clear_step(posterior: Array, target: int) -> int | None:
     """From which state of `posterior (T, G)` on the intent is clear; None if it never is."""
     share = float(time_to_confidence(posterior, target, CONFIDENT))
     return round(share * (len(posterior) - 1)) if np.isfinite(share) else None
+
+
+def paired_test(first: Array, second: Array) -> dict[str, float | list[float]]:
+    """Wilcoxon's signed-rank test of `first` against `second (N,)`, paired, two-sided.
+
+    Pairs that are equal are left out, as Wilcoxon (1945) does.
+
+    Returns:
+        `p`; `effect`, the matched-pairs rank-biserial correlation (Kerby 2014), 1 where `first` is
+        the greater in every pair; `difference`, the mean of first − second, with its bootstrap
+        `interval`.
+    """
+    from scipy.stats import rankdata, wilcoxon
+
+    difference = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
+    # What differs by rounding alone is equal.
+    scale = np.maximum(np.abs(first), np.abs(second))
+    apart = difference[np.abs(difference) > 1e-12 * scale]
+    p, effect = 1.0, 0.0
+    if len(apart):
+        found: Any = wilcoxon(apart)
+        p = float(found.pvalue)
+        ranks = rankdata(np.abs(apart))
+        effect = float((ranks * np.sign(apart)).sum() / ranks.sum())
+    return {
+        "p": p,
+        "effect": effect,
+        "difference": float(difference.mean()),
+        "interval": list(bootstrap_interval(difference)),
+    }
+
+
+def holm(p_values: Array) -> Array:
+    """p-values `(N,)` adjusted for N tests by Holm's step-down method (1979), `(N,)`."""
+    p_values = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p_values)
+    adjusted = np.maximum.accumulate(p_values[order] * np.arange(len(order), 0, -1))
+    found = np.empty_like(adjusted)
+    found[order] = np.minimum(adjusted, 1)
+    return found
 
 
 def rank_correlation(asked: Array, achieved: Array) -> float:

@@ -78,7 +78,7 @@ def guidance_weights(guidance: Array, share: float, others: np.ndarray) -> Array
     """
     w = guidance[:, None]
     each = others / others.sum(axis=1, keepdims=True)
-    return np.concatenate([1 + w, -share * w * each, -(1 - share) * w], axis=1)
+    return np.concatenate([1 + w, -share * w * each, -(1 - share) * w], axis=1, dtype=np.float64)
 
 
 class GoalPolicy(ActionDenoiser):

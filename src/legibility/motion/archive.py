@@ -21,7 +21,7 @@ from ..intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
 from ..scene import DEFAULT_SIGMA, Scene
 from .bezier import bending_energy, bezier_trajectories, straight_controls
 
-__all__ = ["Archive", "CurveGrid", "build_archive"]
+__all__ = ["Archive", "CurveGrid", "build_archive", "random_controls"]
 
 _BATCH = 1024
 _REACH = 1 / 3
@@ -215,7 +215,7 @@ def build_archive(
         exploring = tried < random_candidates
         controls = np.tile(straight, (size, 1, 1))
         controls[:, 1:3] = (
-            _random_controls(rng, scene, size) if exploring else _varied_controls(rng, grid, size)
+            random_controls(rng, scene, size) if exploring else _varied_controls(rng, grid, size)
         )
         new = grid.add(controls)
         tried += size
@@ -245,7 +245,7 @@ def build_archive(
     )
 
 
-def _random_controls(rng: np.random.Generator, scene: Scene, size: int) -> Array:
+def random_controls(rng: np.random.Generator, scene: Scene, size: int) -> Array:
     """Inner control points `(size, 2, D)` drawn uniformly in bounds."""
     low, high = _bounds(scene.workspace)
     return rng.uniform(low, high, (size, 2, scene.dim))

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..baselines.guided import GuidedPolicy
+from ..baselines.planners import straight_path
 from ..checks import Array
 from ..dataset import Dataset
 from ..demonstrations import Demonstrations
@@ -19,7 +20,6 @@ from ..envs import vector_type
 from ..execution import Fleet, Rollout, follow
 from ..intent.metrics import legibility_score
 from ..models.goal_policy import GoalPolicy, GoalPolicyConfig, goal_features
-from ..path import Path, straight_waypoints
 from .loop import Progress
 from .policy import PolicyTrainingConfig, fit, moments
 
@@ -93,12 +93,9 @@ def rollouts_of(model: GoalPolicy, validation: Dataset) -> list[Rollout]:
     env = vector_type(None, config.dim)(len(scenes))
     env.reset(seed=0, options={"scene": scenes})
     paths = [
-        Path.through(
-            straight_waypoints(scene.start, scene.goals[0]), scene, 0, np.zeros(()),
-            sigma=config.sigma, alpha=config.alpha, label=config.label,
-        )
+        straight_path(scene, 0, 0.0, sigma=config.sigma, alpha=config.alpha, label=config.label)
         for scene in scenes
-    ]  # fmt: skip
+    ]
     found = follow(Fleet(env, 0), paths, GuidedPolicy(model, scenes, [0] * len(scenes), seed=0))
     env.close()
     return found

@@ -1,0 +1,105 @@
+"""Paths that need no learning: the straight line, the archive's own, and search in the scene."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from ..checks import count
+from ..curves import NUM_WAYPOINTS
+from ..intent.field import InformationPotentialField
+from ..intent.labels import anchored_label, rank_label
+from ..intent.metrics import SCORE_POINTS, legibility_score
+from ..motion.archive import Archive, random_controls
+from ..motion.bezier import bezier_trajectories, straight_controls
+from ..path import Path, straight_waypoints
+from ..scene import Scene
+
+__all__ = ["archive_path", "candidates_within", "search", "straight_path"]
+
+_ENDS = (64, 65_536)
+_REPEATS = 5
+
+
+def straight_path(
+    scene: Scene, target: int, level: float, *, sigma: float, alpha: float, label: str
+) -> Path:
+    """The most predictable path, whatever ℓ is asked."""
+    points = straight_waypoints(scene.start, scene.target(target))
+    return Path.through(
+        points, scene, target, np.asarray(level), sigma=sigma, alpha=alpha, label=label
+    )
+
+
+def archive_path(archive: Archive, level: float) -> Path:
+    """The archive's trajectory whose label is nearest to ℓ: at 1 its most legible one."""
+    controls = archive.controls[[archive.nearest(level)]]
+    return Path.through(
+        bezier_trajectories(controls, NUM_WAYPOINTS + 2)[0],
+        archive.scene, archive.target, np.asarray(level),
+        sigma=archive.field.sigma, alpha=archive.alpha, label=archive.label,
+    )  # fmt: skip
+
+
+def search(
+    scene: Scene,
+    target: int,
+    level: float,
+    num_candidates: int,
+    seed: int,
+    *,
+    sigma: float,
+    alpha: float,
+    label: str,
+) -> Path:
+    """The nearest to ℓ of random cubic Béziers that are drawn for this very scene.
+
+    They are drawn as the archive draws them, those that leave the workspace are dropped, and the
+    label is that among the rest, so nothing else is known of the scene.
+
+    Args:
+        scene: any.
+        target: index of the goal that is meant.
+        level: ℓ in [−1, 1].
+        num_candidates: curves drawn.
+        seed: of the curves.
+        sigma: of the observer [m].
+        alpha: decay of the score's weight.
+        label: `anchored` or `rank`.
+    """
+    rng = np.random.default_rng(seed)
+    straight = straight_controls(scene.start, scene.target(target))
+    controls = np.tile(straight, (count("num_candidates", num_candidates) + 1, 1, 1))
+    controls[1:, 1:3] = random_controls(rng, scene, num_candidates)
+    curves = bezier_trajectories(controls, SCORE_POINTS)
+    inside = np.append(True, scene.contains(curves[1:]).all(-1))
+    controls, curves = controls[inside], curves[inside]
+    field = InformationPotentialField(scene.goals, sigma)
+    scores = legibility_score(curves, field, target, alpha)
+    labels = rank_label(scores) if label == "rank" else anchored_label(scores, float(scores[0]))
+    best = np.argmin(np.abs(labels - level))
+    return Path.through(
+        bezier_trajectories(controls[[best]], NUM_WAYPOINTS + 2)[0],
+        scene, target, np.asarray(level), sigma=sigma, alpha=alpha, label=label,
+    )  # fmt: skip
+
+
+def candidates_within(
+    milliseconds: float, scene: Scene, target: int, *, sigma: float, alpha: float, label: str
+) -> int:
+    """How many curves `search` can draw in a time [ms], on the threads that it may use.
+
+    The largest power of √2 from 64 to 65,536 whose median time is not longer.
+    """
+    found, size = _ENDS[0], float(_ENDS[0])
+    while size <= _ENDS[1]:
+        times = []
+        for seed in range(_REPEATS):
+            start = time.perf_counter()
+            search(scene, target, 1.0, round(size), seed, sigma=sigma, alpha=alpha, label=label)
+            times.append(1e3 * (time.perf_counter() - start))
+        if np.median(times) > milliseconds:
+            break
+        found, size = round(size), size * np.sqrt(2)
+    return found

@@ -1,0 +1,323 @@
+"""The comparison of the modulator with its baselines: executed, paired, with statistics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..baselines.guided import GuidedPolicy
+from ..baselines.planners import archive_path, candidates_within, search, straight_path
+from ..checks import Array
+from ..curves import arc_length, resample, spaced
+from ..envs.block_reach import BlockReachVector
+from ..errors import InvalidInputError
+from ..execution import Driver, Policy, Rollout
+from ..intent.metrics import (
+    SCORE_POINTS,
+    distance_score,
+    dragan_legibility,
+    legibility_score,
+    potential_cost,
+    time_to_confidence,
+)
+from ..models.goal_policy import GoalPolicy
+from ..modulator import Modulator
+from ..motion.archive import Archive
+from ..motion.tracking import PathTracker
+from ..path import Path
+from ..scene import Scene
+from .statistics import CONFIDENT, holm, paired_test
+
+__all__ = [
+    "CANDIDATES",
+    "METHODS",
+    "METRICS",
+    "TESTED",
+    "Contest",
+    "Job",
+    "Metric",
+    "compare",
+    "measured",
+]
+
+CANDIDATES = 64
+"""Paths drawn by the modulator's second row, of which the best one is taken."""
+
+OURS = ("modulator", "modulator, candidates")
+BASELINE = "diffusion policy"
+"""The method that knows nothing of legibility; bold is what differs from it (paper, Table I)."""
+
+
+class Method(NamedTuple):
+    """A way to get to the goal: by a path that stage 2 follows, or by a policy of its own."""
+
+    text: str
+    dial: bool
+    """Whether it takes an ℓ."""
+    guided: bool = False
+
+
+METHODS = {
+    "straight line": Method("straight line", dial=False),
+    BASELINE: Method("Diffusion Policy", dial=False, guided=True),
+    "legibility diffuser": Method("Legibility Diffuser", dial=False, guided=True),
+    "search": Method("search, in the time of a plan", dial=True),
+    "search, tenfold": Method("search, in ten times that", dial=True),
+    "modulator": Method("Legibility Modulator", dial=True),
+    "modulator, candidates": Method(f"the same, best of {CANDIDATES}", dial=True),
+    "oracle": Method("Dataset Oracle, executed", dial=True),
+}
+"""What is compared, in the order of the tables."""
+
+
+class Metric(NamedTuple):
+    """A figure of a motion, and whether more of it is better."""
+
+    text: str
+    higher: bool | None
+
+
+METRICS = {
+    "distance_score": Metric("L_d", True),
+    "potential_cost": Metric("L_p", False),
+    "length_ratio": Metric("length over the straight line's", None),
+    "achieved": Metric("achieved ℓ", True),
+    "time_to_confidence": Metric("time to confidence", False),
+    "dragan_legibility": Metric("Dragan’s legibility", True),
+}
+"""What is measured of each motion."""
+
+TESTED = ("distance_score", "potential_cost")
+"""The paper's two, on which the tests are made."""
+
+
+class Job(NamedTuple):
+    """One motion: where, what for, with which ℓ, and the seeds that all methods share."""
+
+    scene: Scene
+    target: int
+    level: float
+    env_seed: int
+    plan_seed: int
+
+
+def measured(states: Array, scene: Scene, archive: Archive, spacing: float) -> dict[str, float]:
+    """`METRICS` of one motion `(T, D)` [m], its points a control step apart.
+
+    The two of the paper are sums over points: of the motion's points at equal `spacing` [m]. A
+    confidence that is never reached counts as reached at the end, 1.
+    """
+    field, target = archive.field, archive.target
+    points = spaced(states, spacing)
+    confident = float(time_to_confidence(field.posterior(states), target, CONFIDENT))
+    straight = np.linalg.norm(scene.target(target) - scene.start)
+    score = legibility_score(resample(states, SCORE_POINTS), field, target, archive.alpha)
+    return {
+        "distance_score": float(distance_score(points, scene.goals, target)),
+        "potential_cost": float(potential_cost(points, field, target)),
+        "length_ratio": float(arc_length(states) / straight),
+        "achieved": float(archive.label_of(score)),
+        "time_to_confidence": min(confident, 1.0),
+        "dragan_legibility": float(dragan_legibility(states, scene.goals, target)),
+    }
+
+
+class Contest:
+    """All methods on the same scenes, levels, robots and seeds.
+
+    Args:
+        modulator: both stages; stage 2 follows the paths of all methods that have one.
+        policies: the goal-conditioned baselines by the name of their method.
+        kind: of the environment.
+        sizes: curves that the two searches draw; measured by `calibrate` if not given.
+    """
+
+    def __init__(
+        self,
+        modulator: Modulator,
+        policies: dict[str, GoalPolicy],
+        kind: type[BlockReachVector],
+        sizes: tuple[int, int] | None = None,
+    ) -> None:
+        policy = modulator.path_policy
+        if policy is None:
+            raise InvalidInputError(f"the model {modulator.name} has no stage 2 to compare")
+        for name, config in {
+            modulator.name: policy.config, **{n: p.config for n, p in policies.items()}
+        }.items():  # fmt: skip
+            if (config.dim, config.limit) != (kind.dim, kind.max_displacement):
+                raise InvalidInputError(
+                    f"{name} acts in {config.dim}D within {config.limit} m a step, "
+                    f"{kind.__name__.removesuffix('Vector')} in {kind.dim}D within "
+                    f"{kind.max_displacement} m"
+                )
+        self.modulator, self.policies, self.kind = modulator, policies, kind
+        self.policy = policy
+        self.sizes = sizes
+        config = modulator.config
+        self.observer: dict[str, Any] = {
+            "sigma": config.sigma, "alpha": config.alpha, "label": config.label
+        }  # fmt: skip
+
+    def calibrate(self, scene: Scene, target: int) -> dict[str, dict[str, float]]:
+        """Times [ms] on one core, by method: `plan`, before it can move, and `motion`, all in all.
+
+        Of one motion with ℓ = 1 in `scene`, the medians of several; the simulation does not count.
+        It also sets how many curves the searches draw, if that is not given: what they can in the
+        time of a plan by the modulator, and in ten times that.
+        """
+        with _one_thread():
+            if self.sizes is None:
+                plan = np.median([self._timed("modulator", scene, target, i)[0] for i in range(25)])
+                one, ten = (
+                    candidates_within(budget, scene, target, **self.observer)
+                    for budget in (float(plan), 10 * float(plan))
+                )
+                self.sizes = one, ten
+            found = {}
+            for name in METHODS:
+                if name != "oracle":  # its archive is given
+                    times = [self._timed(name, scene, target, seed) for seed in range(6)][1:]
+                    plan, motion = np.median(times, axis=0)
+                    found[name] = {"plan": float(plan), "motion": float(motion)}
+        return found
+
+    def _timed(self, name: str, scene: Scene, target: int, seed: int) -> tuple[float, float]:
+        job = Job(scene, target, 1.0, seed, seed)
+        started = time.perf_counter()
+        paths = self.paths(name, [job], [])
+        planned = time.perf_counter() - started
+        driver = _Stopwatch(self._driver(name, [job], seed))
+        self._execute([job], paths, driver)
+        if METHODS[name].guided:
+            planned = driver.times[0]
+        else:
+            driver.times.insert(0, planned)
+        return 1e3 * planned, 1e3 * sum(driver.times)
+
+    def paths(self, name: str, jobs: Sequence[Job], archives: Sequence[Archive]) -> list[Path]:
+        """A path for each of `jobs`; of a method that has none the straight line, not followed.
+
+        Args:
+            name: of the method.
+            jobs: the motions.
+            archives: of each job's scene, which the oracle alone sees.
+        """
+        if name == "oracle":
+            return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]
+        if name.startswith("search"):
+            assert self.sizes is not None
+            size = self.sizes[name != "search"]
+            return [
+                search(job.scene, job.target, job.level, size, job.plan_seed, **self.observer)
+                for job in jobs
+            ]
+        if name in OURS:
+            candidates = CANDIDATES if name == OURS[1] else 1
+            return [
+                self.modulator.plan(
+                    job.scene, job.target, job.level, seed=job.plan_seed, num_candidates=candidates
+                )
+                for job in jobs
+            ]
+        return [straight_path(job.scene, job.target, job.level, **self.observer) for job in jobs]
+
+    def rollouts(
+        self,
+        name: str,
+        jobs: Sequence[Job],
+        archives: Sequence[Archive],
+        progress: Callable[[int], None] = lambda done: None,
+    ) -> list[Rollout]:
+        """One executed motion of a method for each of `jobs`, as many at once as fit."""
+        found: list[Rollout] = []
+        for first in range(0, len(jobs), self.kind.at_once):
+            part = jobs[first : first + self.kind.at_once]
+            paths = self.paths(name, part, archives[first : first + len(part)])
+            found += self._execute(part, paths, self._driver(name, part, part[0].plan_seed))
+            progress(len(found))
+        return found
+
+    def _driver(self, name: str, jobs: Sequence[Job], seed: int) -> Driver:
+        if not METHODS[name].guided:
+            return Policy(self.policy, seed)
+        scenes, targets = [job.scene for job in jobs], [job.target for job in jobs]
+        return GuidedPolicy(self.policies[name], scenes, targets, seed)
+
+    def _execute(self, jobs: Sequence[Job], paths: Sequence[Path], driver: Driver) -> list[Rollout]:
+        env = self.kind(len(jobs), max_goals=max(job.scene.num_goals for job in jobs))
+        env.reset(
+            seed=[job.env_seed for job in jobs],
+            options={"scene": [j.scene for j in jobs], "target": [j.target for j in jobs]},
+        )
+        levels = [job.level for job in jobs]
+        found = self.modulator.execute(
+            env, legibility=levels, path=paths, driver=driver, replan=False
+        )
+        assert isinstance(found, list)
+        env.close()
+        return found
+
+
+class _Stopwatch:
+    """A driver that notes how long [s] each chunk took."""
+
+    def __init__(self, driver: Driver) -> None:
+        self.driver, self.with_path = driver, driver.with_path
+        self.times: list[float] = []
+
+    def __call__(
+        self,
+        rows: NDArray[np.intp],
+        positions: Array,
+        previous: Array,
+        goals: Array,
+        tracker: PathTracker,
+    ) -> Array:
+        """See `Driver`."""
+        started = time.perf_counter()
+        found = self.driver(rows, positions, previous, goals, tracker)
+        self.times.append(time.perf_counter() - started)
+        return found
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def compare(cells: dict[str, dict[str, Array]]) -> list[dict[str, Any]]:
+    """All paired tests of a table, with Holm's correction over all of them.
+
+    Every method is held against Diffusion Policy, and the modulator's rows against all others.
+
+    Args:
+        cells: by the name of a cell (a target and a metric, say) the values `(N,)` of each method,
+            paired; higher is better.
+
+    Returns:
+        Of each test `cell`, `method`, `against`, what `paired_test` says, `p_holm`.
+    """
+    tests = []
+    for cell, methods in cells.items():
+        pairs = [(name, BASELINE) for name in methods if name != BASELINE]
+        others = [name for name in methods if name not in (BASELINE, *OURS)]
+        pairs += [(name, other) for name in methods if name in OURS for other in others]
+        tests += [
+            {"cell": cell, "method": a, "against": b, **paired_test(methods[a], methods[b])}
+            for a, b in pairs
+        ]
+    for test, p in zip(tests, holm(np.array([t["p"] for t in tests])), strict=True):
+        test["p_holm"] = float(p)
+    return tests

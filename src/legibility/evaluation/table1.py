@@ -1,0 +1,177 @@
+"""The paper's Table I: the most legible motion of each method, in its scene, for either goal."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..checks import Array, count, random_seed
+from ..envs import vector_type
+from ..errors import InvalidInputError
+from ..models.goal_policy import GoalPolicy
+from ..modulator import Modulator
+from ..scene import Scene, stream_seed
+from .comparison import METHODS, METRICS, TESTED, Contest, Job, compare, measured
+from .statistics import bootstrap_interval, share_interval
+
+__all__ = ["SCENES", "TARGETS", "Table1Config", "evaluate_table1", "paper_rows"]
+
+TARGETS = {"R": 0, "G": 1}
+"""The paper's red and green block, and their index."""
+
+
+class TableScene(NamedTuple):
+    """A scene of the table and how its motions are read.
+
+    Attributes:
+        scene: two goals, R and G.
+        spacing: between the points of which the paper's two figures are sums [m].
+        unit: length of a metre of ours in the table's L_d.
+    """
+
+    scene: Scene
+    spacing: float
+    unit: float
+
+
+SCENES = {
+    2: TableScene(Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]), spacing=0.04, unit=0.5),
+    3: TableScene(
+        Scene([-0.26, 0, 0.22], [[0.04, -0.09, 0.02], [0.04, 0.09, 0.02]]), spacing=0.02, unit=1.0
+    ),
+}
+"""By dimension. The plane's is read off the paper's figure; its simulator has half a metre to a
+unit and points 2 cm apart, so that the straight line's L_d is 1.546 and 1.201 (the paper's
+Diffusion Policy: 1.54 and 1.23). The arm's is ours: the paper gives no coordinates."""
+
+
+@dataclass(frozen=True)
+class Table1Config:
+    """What is evaluated.
+
+    Attributes:
+        env: where, 2d, panda or pandagym.
+        rollouts: of each method toward either target.
+        seed: of the plans, the actions and the robots' hidden properties.
+        search_candidates: curves that the search draws, and ten times that, in the time of a plan;
+            0 means as many as it can, which is measured first.
+    """
+
+    env: str = "2d"
+    rollouts: int = 100
+    seed: int = 0
+    search_candidates: int = 0
+
+    def __post_init__(self) -> None:
+        count("rollouts", self.rollouts, low=2)
+        random_seed("seed", self.seed)
+        count("search_candidates", self.search_candidates, low=0)
+
+
+def evaluate_table1(
+    modulator: Modulator,
+    policies: dict[str, GoalPolicy],
+    config: Table1Config | None = None,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Execute every method with ℓ = 1 in the table's scene, toward R and toward G.
+
+    Rollouts are paired: the n-th of each method has the same robot and the same seeds.
+
+    Returns:
+        `methods`: of each its time per plan and, toward either target, success with interval, the
+        reasons of the ends, each of `METRICS` with mean, interval and all values; `oracle`: the
+        same figures of the archive's most legible trajectory itself, not executed; `tests`: see
+        `compare`; `search`: curves that the two searches drew.
+    """
+    config = config or Table1Config()
+    kind = vector_type(config.env, modulator.config.dim)
+    place = SCENES[kind.dim]
+    size = config.search_candidates
+    contest = Contest(modulator, policies, kind, (size, 10 * size) if size else None)
+    times = contest.calibrate(place.scene, TARGETS["R"])
+    total = len(METHODS) * len(TARGETS) * config.rollouts
+    done = 0
+    methods: dict[str, Any] = {
+        name: {"milliseconds": times.get(name), "targets": {}} for name in METHODS
+    }
+    cells: dict[str, dict[str, Array]] = {}
+    oracle = {}
+    for letter, target in TARGETS.items():
+        archive = modulator.archive(place.scene, target)
+        best = archive.trajectories[archive.nearest(1.0)]
+        oracle[letter] = _scaled(measured(best, place.scene, archive, place.spacing), place.unit)
+        seeds = [
+            stream_seed("evaluation", config.seed, i, "plan").generate_state(2, np.uint64) >> 2
+            for i in range(config.rollouts)
+        ]
+        jobs = [Job(place.scene, target, 1.0, int(a), int(b)) for a, b in seeds]
+        for name in METHODS:
+            rollouts = contest.rollouts(
+                name,
+                jobs,
+                [archive] * len(jobs),
+                lambda n, before=done: progress(before + n, total),
+            )
+            done += len(jobs)
+            rows = [
+                _scaled(measured(r.states, place.scene, archive, place.spacing), place.unit)
+                for r in rollouts
+            ]
+            values = {metric: np.array([row[metric] for row in rows]) for metric in METRICS}
+            success = np.array([r.success for r in rollouts])
+            methods[name]["targets"][letter] = {
+                "success": {"mean": float(success.mean()), "interval": share_interval(success)},
+                "reasons": dict(Counter(r.reason for r in rollouts)),
+                **{
+                    metric: {
+                        "mean": float(found.mean()),
+                        "interval": bootstrap_interval(found),
+                        "values": [float(f"{x:.6g}") for x in found],
+                    }
+                    for metric, found in values.items()
+                },
+            }
+            for metric in TESTED:
+                sign = 1 if METRICS[metric].higher else -1
+                cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
+    return {
+        "env": kind.__name__.removesuffix("Vector"),
+        "scene": place.scene.to_dict(),
+        "spacing": place.spacing,
+        "unit": place.unit,
+        "methods": methods,
+        "oracle": oracle,
+        "tests": compare(cells),
+        "search": contest.sizes,
+    }
+
+
+def _scaled(figures: dict[str, float], unit: float) -> dict[str, float]:
+    return {**figures, "distance_score": unit * figures["distance_score"]}
+
+
+def paper_rows(dim: int) -> dict[str, dict[str, float | None]]:
+    """The paper's own Table I: by the name of a method its figures, `success_rate`, `L_d_R`, ….
+
+    Raises:
+        InvalidInputError: the dimension is neither 2 nor 3.
+    """
+    if dim not in SCENES:
+        raise InvalidInputError(f"dim must be 2 or 3, got {dim!r}")
+    text = (
+        resources.files("legibility.evaluation").joinpath("table1.csv").read_text(encoding="utf-8")
+    )
+    rows = {}
+    for row in csv.DictReader(text.splitlines()):
+        if row.pop("environment") == f"{dim}d":
+            name = row.pop("method")
+            rows[name] = {key: float(value) if value else None for key, value in row.items()}
+    return rows

@@ -1,0 +1,164 @@
+"""The comparison on scenes that training never drew: the most legible motions, and the dial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..checks import Array, count
+from ..dataset import DatasetConfig
+from ..envs import vector_type
+from ..models.goal_policy import GoalPolicy
+from ..modulator import Modulator
+from ..motion.archive import Archive
+from ..scene import stream_seed
+from .comparison import METHODS, METRICS, TESTED, Contest, Job, compare, measured
+from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
+from .table1 import SCENES
+
+__all__ = ["UnseenConfig", "evaluate_unseen"]
+
+_LEAST = {"distance_score": 0.0, "potential_cost": 1e-9}
+"""A figure below it counts as that much: the clearest scenes leave nothing to compare."""
+
+
+@dataclass(frozen=True)
+class UnseenConfig:
+    """What is evaluated.
+
+    Attributes:
+        env: where, 2d, panda or pandagym.
+        scenes: random scenes of the evaluation stream.
+        goals: least and most goals of a scene.
+        rollouts: of each method in each scene with ℓ = 1.
+        levels: of ℓ from −1 to 1, a motion each, of the methods that take one.
+        seed: of the scenes, the plans, the actions and the robots' hidden properties.
+        search_candidates: curves that the search draws, and ten times that, in the time of a plan;
+            0 means as many as it can, which is measured first.
+    """
+
+    env: str = "2d"
+    scenes: int = 100
+    goals: tuple[int, int] = (2, 6)
+    rollouts: int = 4
+    levels: int = 11
+    seed: int = 0
+    search_candidates: int = 0
+
+    def __post_init__(self) -> None:
+        count("scenes", self.scenes, low=2)
+        count("rollouts", self.rollouts)
+        count("levels", self.levels, low=3)
+        count("search_candidates", self.search_candidates, low=0)
+
+
+def evaluate_unseen(
+    modulator: Modulator,
+    policies: dict[str, GoalPolicy],
+    config: UnseenConfig | None = None,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Execute every method in the same random scenes.
+
+    Returns:
+        `methods`: of each its success with interval; each of `METRICS` as a summary over scenes of
+        the scene's mean; `ratio`, of L_d and L_p the median over scenes of the ratio to that of
+        the scene's oracle (its archive's most legible trajectory, not executed), with interval, and
+        all of them; of those with a dial, `spearman` and `error` of the executed ℓ; `goals`: of
+        each scene; `tests`: see `compare`, paired by scene; `search`: curves that the two searches
+        drew.
+    """
+    config = config or UnseenConfig()
+    kind = vector_type(config.env, modulator.config.dim)
+    source = DatasetConfig(
+        dim=kind.dim, scenes=config.scenes, seed=config.seed, stream="evaluation",
+        goals=config.goals, label=modulator.config.label, sigma=modulator.config.sigma,
+        alpha=modulator.config.alpha,
+    )  # fmt: skip
+    size = config.search_candidates
+    contest = Contest(modulator, policies, kind, (size, 10 * size) if size else None)
+    contest.calibrate(SCENES[kind.dim].scene, 0)
+    found = [source.scene(index) for index in range(config.scenes)]
+    archives = [archive for _, archive in found]
+    spacing = SCENES[kind.dim].spacing
+    oracle = [
+        measured(a.trajectories[a.nearest(1.0)], a.scene, a, spacing) for a in archives
+    ]  # fmt: skip
+    levels = np.round(np.linspace(-1, 1, config.levels), 12)
+    asked = {"legible": np.ones(config.rollouts), "dial": levels}
+    numbers = {
+        part: sum(m.dial or part == "legible" for m in METHODS.values()) * len(each)
+        for part, each in asked.items()
+    }
+    total, done = config.scenes * sum(numbers.values()), 0
+    methods: dict[str, Any] = {}
+    cells: dict[str, dict[str, Array]] = {}
+    for name, method in METHODS.items():
+        rows: dict[str, Array] = {}
+        success = np.empty(0)
+        for part, each in asked.items():
+            if part == "dial" and not method.dial:
+                continue
+            jobs, own = _jobs(archives, each, config.seed, part)
+            rollouts = contest.rollouts(
+                name, jobs, own, lambda n, before=done: progress(before + n, total)
+            )
+            done += len(jobs)
+            motions = [
+                measured(r.states, a.scene, a, spacing) for r, a in zip(rollouts, own, strict=True)
+            ]
+            shape = config.scenes, len(each)
+            for metric in METRICS:
+                rows[f"{part} {metric}"] = np.reshape([m[metric] for m in motions], shape)
+            success = np.append(success, [r.success for r in rollouts])
+        methods[name] = {
+            "success": {"mean": float(success.mean()), "interval": share_interval(success)},
+            **{m: summary(rows[f"legible {m}"].mean(axis=1)) for m in METRICS},
+            "ratio": {},
+        }
+        for metric in TESTED:
+            least = _LEAST[metric]
+            own_values = np.maximum(rows[f"legible {metric}"].mean(axis=1), least)
+            ratio = own_values / np.maximum([o[metric] for o in oracle], least)
+            methods[name]["ratio"][metric] = {
+                "median": float(np.median(ratio)),
+                "interval": bootstrap_interval(ratio, np.median),
+                "values": [float(f"{x:.6g}") for x in ratio],
+            }
+            sign = 1 if METRICS[metric].higher else -1
+            cells.setdefault(metric, {})[name] = sign * np.log(ratio)
+        if method.dial:
+            table = rows["dial achieved"]
+            methods[name]["spearman"] = summary(
+                np.array([rank_correlation(levels, row) for row in table])
+            )
+            methods[name]["error"] = summary(np.abs(table - levels).mean(axis=1))
+    return {
+        "env": kind.__name__.removesuffix("Vector"),
+        "spacing": spacing,
+        "methods": methods,
+        "goals": [a.scene.num_goals for a in archives],
+        "least": _LEAST,
+        "tests": compare(cells),
+        "search": contest.sizes,
+    }
+
+
+def _jobs(
+    archives: list[Archive], levels: Array, seed: int, part: str
+) -> tuple[list[Job], list[Archive]]:
+    """A motion in each scene for each level, and each one's archive."""
+    jobs, own = [], []
+    kind = "plan" if part == "legible" else "demonstration"
+    for index, archive in enumerate(archives):
+        words = stream_seed("evaluation", seed, index, kind).generate_state(
+            2 * len(levels), np.uint64
+        )
+        for level, pair in zip(levels, (words >> np.uint64(2)).reshape(-1, 2), strict=True):
+            jobs.append(Job(archive.scene, 0, float(level), int(pair[0]), int(pair[1])))
+            own.append(archive)
+    return jobs, own
