@@ -30,6 +30,7 @@ _VERBS = {
     "evaluate execution": "measure executed motions and what moves them on scenes never seen",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
     "evaluate unseen": "the same methods in scenes never seen, over each scene's oracle",
+    "evaluate spectrum": "the paper's figure 3: motions over the whole dial and their cost",
     "report": "render measurements as tables, figures and model cards",
     "doctor": "tell what is installed, what works here, and what to do about the rest",
 }

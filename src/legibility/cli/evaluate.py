@@ -7,10 +7,17 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from ..envs import environment_dim
 from ..errors import CheckpointError
 from ..evaluation.comparison import METHODS, METRICS, TESTED
 from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
 from ..evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
+from ..evaluation.spectrum import (
+    Spectrum,
+    SpectrumConfig,
+    evaluate_spectrum,
+    spectrum_figure,
+)
 from ..evaluation.table1 import TARGETS, Table1Config, evaluate_table1
 from ..evaluation.unseen import UnseenConfig, evaluate_unseen
 from ..models.goal_policy import GoalPolicy
@@ -32,6 +39,7 @@ from .output import (
 _Flags = flags(DialConfig)
 _Table1 = flags(Table1Config)
 _Unseen = flags(UnseenConfig)
+_Spectrum = flags(SpectrumConfig)
 _Execution = flags(ExecutionConfig)
 
 
@@ -239,12 +247,57 @@ def unseen(
     show(rows)
 
 
+def spectrum(
+    evaluation: Annotated[Any, arg(constructor=_Spectrum)],
+    model: OptionalText = None,
+    figure: OutputFile = None,
+    json: OutputFile = None,
+) -> None:
+    """The paper's figure 3: executed motions over the whole dial in the scene of Table I.
+
+    Args:
+        evaluation: what is evaluated.
+        model: weights of the modulator, a name or a folder; those of the environment's dimension if
+            not given.
+        figure: motions and their cost against ℓ, toward R and toward G, .png, .pdf or .svg.
+        json: everything as JSON.
+    """
+    settings = made(SpectrumConfig, evaluation)
+    check_figure(figure)
+    check_file(json, "JSON file")
+    name = model or MODELS[environment_dim(settings.env)]
+    modulator = Modulator.from_pretrained(name)
+    used = model_record(name)
+    with progress_bar("rollouts") as progress:
+        result = evaluate_spectrum(modulator, settings, progress=progress)
+    if figure is not None:
+        spectrum_figure([Spectrum.of_result(result, letter) for letter in TARGETS], figure)
+    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
+    rows = table(
+        f"{settings.rollouts} motions a level in {result['env']}",
+        "asked ℓ", *(text for t in TARGETS for text in (f"L_p toward {t}", f"achieved ℓ ({t})")),
+    )  # fmt: skip
+    for index, level in enumerate(result["levels"]):
+        own = [result["targets"][letter] for letter in TARGETS]
+        rows.add_row(
+            number(level, 2),
+            *(
+                text
+                for part in own
+                for text in (significant(part["mean"][index]), number(part["achieved"][index]))
+            ),
+        )
+    rising = ", ".join(f"{t} {result['targets'][t]['rising']}" for t in TARGETS)
+    show(rows, f"levels at which the mean cost rises: {rising}")
+
+
 def _contestants(
     env: str, model: str | None, diffusion_policy: str | None, legibility_diffuser: str | None
 ) -> tuple[Modulator, dict[str, GoalPolicy], dict[str, str], list[dict[str, str]]]:
     """The models, and what is recorded of the modulator and of the baselines."""
-    robot = "2d" if env == "2d" else "panda"
-    name = model or MODELS[2 if env == "2d" else 3]
+    dim = environment_dim(env)
+    robot = "2d" if dim == 2 else "panda"
+    name = model or MODELS[dim]
     names = {
         "diffusion policy": diffusion_policy or f"diffusion-policy-{robot}",
         "legibility diffuser": legibility_diffuser or f"legibility-diffuser-{robot}",

@@ -126,9 +126,10 @@ def execute(
 
         execution_figure(rollouts, figure)
     if spectrum is not None:
-        from ..evaluation.spectrum import spectrum_figure
+        from ..evaluation.spectrum import Spectrum, spectrum_figure
+        from ..evaluation.table1 import SCENES
 
-        spectrum_figure(rollouts, spectrum)
+        spectrum_figure([Spectrum.of(rollouts, SCENES[place.dim].spacing)], spectrum)
     if video is not None:
         from ..evaluation.film import execution_film
 

@@ -12,6 +12,14 @@ from tyro.conf import Positional, arg
 from ..errors import InvalidInputError
 from ..evaluation.card import dial_section, execution_section, render_card, replace_table
 from ..evaluation.figures import dial_figure
+from ..evaluation.spectrum import Spectrum, spectrum_figure
+from ..evaluation.tables import (
+    spectrum_section,
+    table1_csv,
+    table1_latex,
+    table1_section,
+    unseen_section,
+)
 from ..files import read_text, write_bytes
 from .options import Folder, OutputFile
 from .output import check_folder, show
@@ -26,8 +34,10 @@ def report(
 
     DIR holds, for weights NAME, dial-NAME.json of `evaluate dial`, closed-loop-NAME.json of the
     same with --closed-loop, execution-NAME.json of `evaluate execution` and, of the same in another
-    simulator, transfer-NAME.json. Each becomes a text,
-    DIR/KIND-NAME.md, the first two a figure DIR/KIND-NAME.png too.
+    simulator, transfer-NAME.json; for an environment NAME, table1-NAME.json, unseen-NAME.json and
+    spectrum-NAME.json of the verbs of those names. Each becomes a text, DIR/KIND-NAME.md; dials and
+    spectra become figures too, .png and for the latter .pdf, Table I a LaTeX tabular, .tex, and a
+    .csv.
 
     Args:
         results: folder of the JSON files.
@@ -60,8 +70,7 @@ def report(
             cards[weights / name / "README.md"] = _card(name, weights / name, documents)
 
     for file, document, section in sections:
-        if "levels" in document["result"]:
-            dial_figure(document["result"], file.with_suffix(".png"))
+        _write_figures(file, document)
         write_bytes(file.with_suffix(".md"), f"{section}\n".encode())
     for file, card in cards.items():
         write_bytes(file, card.encode())
@@ -76,7 +85,24 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "closed-loop": dial_section,
     "execution": execution_section,
     "transfer": execution_section,
+    "table1": table1_section,
+    "unseen": unseen_section,
+    "spectrum": spectrum_section,
 }
+
+
+def _write_figures(file: Path, document: dict[str, Any]) -> None:
+    """What of a measurement is not Markdown, beside its `file`."""
+    kind, result = file.stem.partition("-")[0], document["result"]
+    if kind in ("dial", "closed"):
+        dial_figure(result, file.with_suffix(".png"))
+    elif kind == "table1":
+        write_bytes(file.with_suffix(".tex"), table1_latex(document).encode())
+        write_bytes(file.with_suffix(".csv"), table1_csv(document).encode())
+    elif kind == "spectrum":
+        for suffix in (".png", ".pdf"):
+            spectra = [Spectrum.of_result(result, letter) for letter in result["targets"]]
+            spectrum_figure(spectra, file.with_suffix(suffix))
 
 
 def _section(kind: str, file: Path, document: dict[str, Any]) -> str:

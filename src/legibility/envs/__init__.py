@@ -12,7 +12,13 @@ from ..errors import InvalidInputError
 if TYPE_CHECKING:
     from .block_reach import BlockReachVector
 
-__all__ = ["DEFAULT_ENVIRONMENT", "ENVIRONMENTS", "MAX_EPISODE_STEPS", "vector_type"]
+__all__ = [
+    "DEFAULT_ENVIRONMENT",
+    "ENVIRONMENTS",
+    "MAX_EPISODE_STEPS",
+    "environment_dim",
+    "vector_type",
+]
 
 MAX_EPISODE_STEPS = 400
 
@@ -35,6 +41,17 @@ for _entry in ENVIRONMENTS.values():
     )
 
 
+def environment_dim(name: str) -> int:
+    """D of one of `ENVIRONMENTS`; it loads none of them.
+
+    Raises:
+        InvalidInputError: there is no such environment.
+    """
+    if name not in ENVIRONMENTS:
+        raise InvalidInputError(f"env must be one of {', '.join(ENVIRONMENTS)}, got {name!r}")
+    return 2 if name == DEFAULT_ENVIRONMENT[2] else 3
+
+
 def vector_type(name: str | None, dim: int) -> type[BlockReachVector]:
     """The class of many robots of an environment.
 
@@ -47,10 +64,8 @@ def vector_type(name: str | None, dim: int) -> type[BlockReachVector]:
         MissingExtraError: what it needs is not installed.
     """
     name = DEFAULT_ENVIRONMENT[dim] if name is None else name
-    if name not in ENVIRONMENTS:
-        raise InvalidInputError(f"env must be one of {', '.join(ENVIRONMENTS)}, got {name!r}")
+    own = environment_dim(name)
+    if own != dim:
+        raise InvalidInputError(f"the environment {name} is {own}-D, what is asked {dim}-D")
     module, _, kind = ENVIRONMENTS[name].partition(":")
-    found = getattr(importlib.import_module(f".{module}", __name__), f"{kind}Vector")
-    if found.dim != dim:
-        raise InvalidInputError(f"the environment {name} is {found.dim}-D, what is asked {dim}-D")
-    return found
+    return getattr(importlib.import_module(f".{module}", __name__), f"{kind}Vector")

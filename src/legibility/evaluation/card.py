@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
 from .dial import FIGURES, worst
 from .execution import ROWS
+from .wording import WORLDS, filled, goals_of, threads_of
 
 __all__ = ["dial_section", "dial_table", "execution_section", "render_card", "replace_table"]
 
@@ -35,15 +35,15 @@ def dial_section(document: dict[str, Any]) -> str:
     config, result = document["config"], document["result"]
     if config["closed_loop"]:
         how = f"""\
-Every path is executed by stage 2 in {_WORLDS[result["env"]]}, and what is scored is the executed
+Every path is executed by stage 2 in {WORLDS[result["env"]]}, and what is scored is the executed
 motion. One that arrives ends within 2 cm of the target, so it may be a little shorter than its
 path."""
     else:
         how = f"""\
 One path is drawn for a sample; only the row "with candidates" takes the nearest of
 {config["candidates"]}. One plan took {result["plan_ms"]:.1f} ms on one core."""
-    on = _filled(f"""\
-On {len(result["scenes"])} random scenes with {_goals(config)} that training never drew
+    on = filled(f"""\
+On {len(result["scenes"])} random scenes with {goals_of(config)} that training never drew
 (seed {document["seed"]}), {len(result["levels"])} levels of ℓ, {config["samples"]} paths each.
 {how}""")
     return f"""\
@@ -79,12 +79,12 @@ def execution_section(document: dict[str, Any]) -> str:
     plan = result["rows"]["policy"]
     kinds = ("states_outside", "actions_not_finite", "actions_over_limit", "wall_contacts")
     found = [sum(row[kind] for row in result["rows"].values()) for kind in kinds]
-    on = _filled(f"""\
-{config["rollouts"]:,} rollouts a row on {config["scenes"]} random scenes with {_goals(config)} that
-training never drew (seed {document["seed"]}), ℓ uniform in [−1, 1], in
-{_WORLDS[result["env"]]}. All rows share scenes, levels, plans and robots. A push displaces the
+    on = filled(f"""\
+{config["rollouts"]:,} rollouts a row on {config["scenes"]} random scenes with
+{goals_of(config)} that training never drew (seed {document["seed"]}), ℓ uniform in [−1, 1], in
+{WORLDS[result["env"]]}. All rows share scenes, levels, plans and robots. A push displaces the
 robot, a move the target, by {100 * result["disturbance"]:g} cm in a random direction half-way.""")
-    means = _filled(f"""\
+    means = filled(f"""\
 Spearman's correlation and the mean error compare the asked ℓ with that of the executed motion,
 whether it arrived or not; where the target moved there is none, as ℓ belongs to a scene. The
 distance is that from the curve that was followed at the time, over the length of the first. The
@@ -92,11 +92,11 @@ plans alone have a correlation of {plan["spearman_of_plan"]["mean"]:.4f} and an 
 {plan["error_of_plan"]["mean"]:.4f}. In all rows together {found[0]:,} states were outside the
 workspace{_farthest(result)}, {found[1]} actions not finite, {found[2]} over the limit, and
 {found[3]} steps were stopped by a wall.{_counted(result)}""")
-    speed = _filled(f"""\
+    speed = filled(f"""\
 One control step of one robot took {result["step_ms"]:.2f} ms on one core, the policy included and
 amortised over its chunk. With {result["at_once"]} robots at once
 {result["rollouts_per_second"]:.0f} rollouts a second were planned and executed on
-{_threads(result)}; as many in the environment alone take
+{threads_of(result)}; as many in the environment alone take
 {result["env_steps_per_second"]:,.0f} control steps a second on one core.""")
     return f"""\
 {on}
@@ -108,14 +108,6 @@ amortised over its chunk. With {result["at_once"]} robots at once
 {speed}
 
 Measured by `{document["command"]}`."""
-
-
-_WORLDS = {
-    "BlockReach2D": "BlockReach2D, each robot with a gain and a lag that it does not know",
-    "PandaBlockReach": "PandaBlockReach (the Panda on MuJoCo), each arm with a response and a "
-    "delay that it does not know",
-    "PandaGymBlockReach": "PandaGymBlockReach (the Panda of panda-gym, which was not trained in)",
-}
 
 
 def _farthest(result: dict[str, Any]) -> str:
@@ -130,20 +122,6 @@ def _counted(result: dict[str, Any]) -> str:
         return ""
     found = ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
     return f" Stage 2, not disturbed, had {found}."
-
-
-def _goals(config: dict[str, Any]) -> str:
-    low, high = config["goals"]
-    return f"{low} goals" if low == high else f"{low} to {high} goals"
-
-
-def _threads(facts: dict[str, Any]) -> str:
-    return f"{facts['threads']} thread{'s' * (facts['threads'] > 1)}"
-
-
-def _filled(paragraph: str) -> str:
-    """The paragraph in lines of at most 100 characters, as far as its words allow."""
-    return textwrap.fill(paragraph, 100, break_long_words=False, break_on_hyphens=False)
 
 
 def replace_table(text: str, name: str, table: str) -> str:
@@ -208,8 +186,8 @@ Use it with `legibility.Modulator.from_pretrained("{name}")`.
 
 ## Data
 """,
-        _filled(f"""\
-{data["scenes"]:,} random scenes with {_goals(data)} (stream `{data["stream"]}`, seed
+        filled(f"""\
+{data["scenes"]:,} random scenes with {goals_of(data)} (stream `{data["stream"]}`, seed
 {data["seed"]}), {data["per_scene"]} trajectories a scene chosen flat along ℓ from its
 quality-diversity archive; labels `{path["label"]}`, σ = {path["sigma"]} m, α = {path["alpha"]}.
 SHA-256 over the shards: `{training["digest"]}`."""),
@@ -222,7 +200,7 @@ SHA-256 over the shards: `{training["digest"]}`."""),
         demonstrated = shown["demonstrated"] or policy["data"]["scenes"]
         parts += [
             "\n## Training of stage 2\n",
-            _filled(f"""\
+            filled(f"""\
 {shown["number"]:,} demonstrations, {shown["demonstrations"]} in each of {demonstrated:,} scenes
 of the same data: a feedback controller follows paths of the archive in
 {"BlockReach2D" if path["dim"] == 2 else "PandaBlockReach, on MuJoCo"}, with noise of
@@ -246,7 +224,7 @@ of the same data: a feedback controller follows paths of the archive in
         ]
     parts += [
         "\n## Limits\n",
-        _filled(f"""\
+        filled(f"""\
 The observer is a model (a Gaussian around each goal), not a person. It was trained on the default
 workspace of {path["dim"]}-D scenes alone; obstacles are not known. Labels are ranks within a
 scene's archive: the same ℓ is a different score in another scene."""),
@@ -267,8 +245,8 @@ _STAGE_2 = """\
 def _trained(training: dict[str, Any], batch: str) -> str:
     settings = training["training"]
     alone = settings["steps"] * training["step_seconds"] / 60
-    return _filled(f"""\
+    return filled(f"""\
 {training["parameters"]:,} parameters; {settings["steps"]:,} batches of {batch.format(**settings)},
 seed {settings["seed"]}, in {training["seconds"] / 60:.0f} minutes on {training["device"]}
-({_threads(training)}, PyTorch {training["torch"]}), validation included. The
+({threads_of(training)}, PyTorch {training["torch"]}), validation included. The
 machine is shared: by the quickest tenth of the log the batches alone take {alone:.0f} minutes.""")

@@ -1,71 +1,224 @@
-"""The spectrum in one picture: motions of rising legibility and what they cost (paper, fig. 3)."""
+"""The spectrum: motions of rising legibility and what they cost (paper, fig. 3)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 
+from ..checks import Array, count, random_seed
 from ..colors import INK, MUTED
+from ..curves import spaced
+from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..execution import Rollout
+from ..intent.field import InformationPotentialField
 from ..intent.metrics import potential_cost
+from ..modulator import Modulator
+from ..scene import Scene, stream_seed
 from .figures import LABELS, PAGE, REDS, add_lines, figure_file, name_ends, scene_axes
+from .statistics import bootstrap_interval
+from .table1 import SCENES, TARGETS
 
-__all__ = ["spectrum_figure"]
+__all__ = ["Spectrum", "SpectrumConfig", "evaluate_spectrum", "spectrum_figure"]
 
 _HEIGHT, _SHARE = 2.6, 0.58
 _DPI = 300
 _TUBE = 0.0045
 _DECADE = 20
+_SHOWN = 11
 
 
-def spectrum_figure(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
-    """Draw executed motions, light to dark red with ℓ, and beside them their cost L_p against ℓ.
+@dataclass(frozen=True)
+class SpectrumConfig:
+    """What is evaluated.
 
-    An arm is rendered at its table, the motions of the gripper as tubes. The cost is
-    `potential_cost` of the positions at the control steps (paper, Table I).
+    Attributes:
+        env: where, 2d, panda or pandagym.
+        levels: of ℓ at equal steps from −1 to 1.
+        rollouts: at each level toward either target.
+        seed: of the plans, the actions and the robots' hidden properties.
+    """
+
+    env: str = "2d"
+    levels: int = 21
+    rollouts: int = 50
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        count("levels", self.levels, low=3)
+        count("rollouts", self.rollouts, low=2)
+        random_seed("seed", self.seed)
+
+
+def evaluate_spectrum(
+    modulator: Modulator,
+    config: SpectrumConfig | None = None,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Execute motions of all levels in the scene of Table I, toward R and toward G.
+
+    Returns:
+        `targets`: of each, at every level, the `costs (L, N)`, L_p of the table, with `mean` and
+        `interval`, the `achieved` ℓ, and the `states` of the first motion; `success`, a share;
+        `rising`, the number of levels whose mean cost is above that of the level before;
+        `angles`, of the joints at the start.
+    """
+    config = config or SpectrumConfig()
+    kind = vector_type(config.env, modulator.config.dim)
+    place = SCENES[kind.dim]
+    levels = np.round(np.linspace(-1, 1, config.levels), 12)
+    each = np.repeat(levels, config.rollouts)
+    done, total = 0, len(TARGETS) * len(each)
+    targets = {}
+    for letter, target in TARGETS.items():
+        words = stream_seed("evaluation", config.seed, target, "plan").generate_state(2, np.uint64)
+        plan_seed, env_seed = (int(word >> 2) for word in words)
+        plans = modulator.plan(place.scene, target, each, seed=plan_seed)
+        rollouts: list[Rollout] = []
+        for first in range(0, len(each), kind.at_once):
+            paths = [plans[i] for i in range(first, min(first + kind.at_once, len(each)))]
+            env = kind(len(paths), max_goals=place.scene.num_goals)
+            env.reset(seed=env_seed + first, options={"scene": place.scene, "target": target})
+            found = modulator.execute(
+                env, legibility=[p.legibility for p in paths], seed=plan_seed + first, path=paths
+            )
+            assert isinstance(found, list)
+            env.close()
+            rollouts += found
+            progress(done + len(rollouts), total)
+        done += len(each)
+        own = Spectrum.of(rollouts, place.spacing)
+        means = own.costs.mean(axis=1)
+        achieved = np.reshape([r.achieved for r in rollouts], own.costs.shape)
+        targets[letter] = {
+            "costs": own.costs,
+            "mean": means,
+            "interval": [bootstrap_interval(row) for row in own.costs],
+            "achieved": achieved.mean(axis=1),
+            "states": own.motions,
+            "success": float(np.mean([r.success for r in rollouts])),
+            "rising": int((np.diff(means) > 0).sum()),
+            "angles": own.angles,
+        }
+    return {
+        "env": kind.__name__.removesuffix("Vector"),
+        "scene": place.scene.to_dict(),
+        "sigma": modulator.config.sigma,
+        "spacing": place.spacing,
+        "levels": levels,
+        "targets": targets,
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Executed motions in one scene toward one target, by rising ℓ.
+
+    Attributes:
+        scene: the scene.
+        target: index of the goal that is meant.
+        field: the observer.
+        levels: ℓ `(L,)`, rising.
+        motions: one of each level, `(T, D)` [m].
+        costs: `(L, N)`, L_p of the paper's Table I, of N motions of each level.
+        angles: `(J,)` [rad] of an arm's joints at the start; J = 0 where there is none.
+    """
+
+    scene: Scene
+    target: int
+    field: InformationPotentialField
+    levels: Array
+    motions: list[Array]
+    costs: Array
+    angles: Array
+
+    @classmethod
+    def of(cls, rollouts: Sequence[Rollout], spacing: float) -> Spectrum:
+        """Of motions in one scene, as many of each level; L_p is of points `spacing` [m] apart.
+
+        Raises:
+            InvalidInputError: there are none.
+        """
+        if not rollouts:
+            raise InvalidInputError("a spectrum needs at least one motion, got none")
+        rollouts = sorted(rollouts, key=lambda rollout: rollout.legibility)
+        path = rollouts[0].path
+        levels = np.unique([rollout.legibility for rollout in rollouts])
+        costs = [
+            potential_cost(spaced(r.states, spacing), path.field, path.target) for r in rollouts
+        ]
+        return cls(
+            path.scene, path.target, path.field, levels,
+            [r.states for r in rollouts[:: len(rollouts) // len(levels)]],
+            np.reshape(costs, (len(levels), -1)), rollouts[0].joint_angles[0],
+        )  # fmt: skip
+
+    @classmethod
+    def of_result(cls, result: dict[str, Any], letter: str) -> Spectrum:
+        """Of what `evaluate_spectrum` returned, or its JSON, toward target R or G."""
+        scene, own = Scene.from_dict(result["scene"]), result["targets"][letter]
+        return cls(
+            scene, TARGETS[letter], InformationPotentialField(scene.goals, result["sigma"]),
+            np.array(result["levels"]), [np.array(s) for s in own["states"]],
+            np.array(own["costs"]), np.array(own["angles"]),
+        )  # fmt: skip
+
+
+def spectrum_figure(spectra: Sequence[Spectrum], file: str | FilePath) -> None:
+    """Draw motions, light to dark red with ℓ, and beside them their cost L_p against ℓ.
+
+    An arm is rendered at its table, the motions of the gripper as tubes; of many levels some are
+    drawn. Costs are means with their 95 % interval.
 
     Args:
-        rollouts: in one scene, toward one target.
+        spectra: a row each.
         file: where to; .png, .pdf or .svg.
 
     Raises:
-        InvalidInputError: there are none.
         OutputError: another suffix, or the file cannot be written.
     """
-    if not rollouts:
-        raise InvalidInputError("a spectrum needs at least one motion, got none")
-    rollouts = sorted(rollouts, key=lambda rollout: rollout.legibility)
-    path = rollouts[0].path
-    levels = np.array([rollout.legibility for rollout in rollouts])
-    colors = REDS(LABELS(levels))
-    costs = np.array([potential_cost(r.states, path.field, path.target) for r in rollouts])
-    with figure_file(file, PAGE, _HEIGHT) as figure:
-        cells = figure.add_gridspec(1, 2, width_ratios=[_SHARE, 1 - _SHARE])
-        if rollouts[0].joint_angles.size:
-            from ..envs.panda_render import arm_image
+    with figure_file(file, PAGE, _HEIGHT * len(spectra)) as figure:
+        cells = figure.add_gridspec(len(spectra), 2, width_ratios=[_SHARE, 1 - _SHARE])
+        for row, spectrum in enumerate(spectra):
+            _draw_motions(figure, cells[row, 0], spectrum)
+            _draw_costs(figure, cells[row, 1], spectrum)
 
-            axes = figure.add_subplot(cells[0])
-            axes.set_axis_off()
-            trails = [(r.states, tuple(c), _TUBE) for r, c in zip(rollouts, colors, strict=True)]
-            size = round(PAGE * _SHARE * _DPI), round(_HEIGHT * _DPI)
-            axes.imshow(arm_image(path.scene, path.target, rollouts[0].joint_angles[0],
-                                  trails=trails, size=size))  # fmt: skip
-        else:
-            axes = scene_axes(
-                figure, cells[0], path.scene, path.target, rollouts[0].states, path.field
-            )
-            for rollout, color in zip(rollouts, colors, strict=True):
-                add_lines(axes, rollout.states[None], colors=color, linewidths=1.5)
-            name_ends(
-                figure, axes, path.scene, path.target, np.concatenate([r.states for r in rollouts])
-            )
-        panel = figure.add_subplot(cells[1], xlim=(-1.05, 1.05), xlabel=r"legibility $\ell$")
-        panel.set_ylabel(r"cost $L_p$ (lower: clearer)")
-        panel.set_xticks((-1, 0, 1), ("−1", "0", "1"))
-        panel.plot(levels, costs, color=MUTED, lw=1, zorder=1)
-        panel.scatter(levels, costs, s=26, c=colors, ec=INK, linewidths=0.5, zorder=2)
-        if costs.max() > _DECADE * costs.min():
-            panel.set_yscale("log")
+
+def _draw_motions(figure: Any, cell: Any, spectrum: Spectrum) -> None:
+    shown = np.unique(np.linspace(0, len(spectrum.levels) - 1, _SHOWN).round().astype(int))
+    motions = [spectrum.motions[i] for i in shown]
+    colors = REDS(LABELS(spectrum.levels[shown]))
+    if spectrum.angles.size:
+        from ..envs.panda_render import arm_image
+
+        axes = figure.add_subplot(cell)
+        axes.set_axis_off()
+        trails = [(m, tuple(c), _TUBE) for m, c in zip(motions, colors, strict=True)]
+        size = round(PAGE * _SHARE * _DPI), round(_HEIGHT * _DPI)
+        axes.imshow(
+            arm_image(spectrum.scene, spectrum.target, spectrum.angles, trails=trails, size=size)
+        )
+        return
+    axes = scene_axes(figure, cell, spectrum.scene, spectrum.target, motions[0], spectrum.field)
+    for motion, color in zip(motions, colors, strict=True):
+        add_lines(axes, motion[None], colors=color, linewidths=1.5)
+    name_ends(figure, axes, spectrum.scene, spectrum.target, np.concatenate(motions))
+
+
+def _draw_costs(figure: Any, cell: Any, spectrum: Spectrum) -> None:
+    panel = figure.add_subplot(cell, xlim=(-1.05, 1.05), xlabel=r"legibility $\ell$")
+    panel.set_ylabel(r"cost $L_p$ (lower: clearer)")
+    panel.set_xticks((-1, 0, 1), ("−1", "0", "1"))
+    levels, means = spectrum.levels, spectrum.costs.mean(axis=1)
+    if spectrum.costs.shape[1] > 1:
+        band = np.array([bootstrap_interval(row) for row in spectrum.costs])
+        panel.fill_between(levels, *band.T, color=MUTED, alpha=0.35, lw=0, zorder=0)
+    panel.plot(levels, means, color=MUTED, lw=1, zorder=1)
+    panel.scatter(levels, means, s=26, c=REDS(LABELS(levels)), ec=INK, linewidths=0.5, zorder=2)
+    if means.max() > _DECADE * means.min():
+        panel.set_yscale("log")
