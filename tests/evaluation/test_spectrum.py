@@ -5,10 +5,11 @@ import pytest
 from PIL import Image
 
 import legibility as lg
+from legibility.curves import spaced
 from legibility.dataset import paths_of
 from legibility.envs import vector_type
 from legibility.errors import InvalidInputError, OutputError
-from legibility.evaluation.spectrum import spectrum_figure
+from legibility.evaluation.spectrum import Spectrum, spectrum_figure
 from legibility.execution import Feedback, Fleet, follow
 from legibility.intent.metrics import potential_cost
 
@@ -36,7 +37,7 @@ def rollouts(request):
 @pytest.mark.parametrize("suffix", [".png", ".pdf"])
 def test_is_written(rollouts, tmp_path, suffix, recwarn):
     file = tmp_path / f"spectrum{suffix}"
-    spectrum_figure(rollouts, file)
+    spectrum_figure([Spectrum.of(rollouts, 0.04)], file)
     assert file.stat().st_size > 5000
     if suffix == ".png":
         picture = np.asarray(Image.open(file).convert("RGB"))
@@ -57,16 +58,16 @@ def test_costs_are_those_of_the_motions(rollouts, tmp_path, monkeypatch):
         yield figure
 
     monkeypatch.setattr("legibility.evaluation.spectrum.figure_file", keep)
-    spectrum_figure(rollouts[::-1], tmp_path / "x.png")
+    spectrum_figure([Spectrum.of(rollouts[::-1], 0.04)], tmp_path / "x.png")
     line = figure.axes[-1].lines[0]
     np.testing.assert_array_equal(line.get_xdata(), LEVELS)
-    costs = [potential_cost(r.states, r.path.field, r.path.target) for r in rollouts]
+    costs = [potential_cost(spaced(r.states, 0.04), r.path.field, r.path.target) for r in rollouts]
     np.testing.assert_allclose(line.get_ydata(), costs)
     assert costs[0] > costs[1]
 
 
 def test_refuses(rollouts, tmp_path):
     with pytest.raises(InvalidInputError, match="at least one motion"):
-        spectrum_figure([], tmp_path / "x.png")
+        Spectrum.of([], 0.04)
     with pytest.raises(OutputError, match="must end in"):
-        spectrum_figure(rollouts, tmp_path / "x.gif")
+        spectrum_figure([Spectrum.of(rollouts, 0.04)], tmp_path / "x.gif")

@@ -10,7 +10,14 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
-from ..evaluation.card import dial_section, execution_section, render_card, replace_table
+from ..evaluation.card import (
+    dial_section,
+    execution_section,
+    render_baseline_card,
+    render_card,
+    replace_table,
+)
+from ..evaluation.comparison import METHODS
 from ..evaluation.figures import dial_figure
 from ..evaluation.spectrum import Spectrum, spectrum_figure
 from ..evaluation.tables import (
@@ -69,6 +76,8 @@ def report(
         if weights is not None and (weights / name).is_dir():
             cards[weights / name / "README.md"] = _card(name, weights / name, documents)
 
+    if weights is not None:
+        cards |= _baseline_cards(weights, found)
     for file, document, section in sections:
         _write_figures(file, document)
         write_bytes(file.with_suffix(".md"), f"{section}\n".encode())
@@ -124,6 +133,28 @@ def _card(name: str, folder: Path, documents: dict[str, dict[str, Any]]) -> str:
         raise
     except (LookupError, TypeError, ValueError, AttributeError) as cause:
         raise InvalidInputError(f"cannot make the card of {name}: {cause!r}") from cause
+
+
+def _baseline_cards(weights: Path, found: dict[str, dict[str, dict[str, Any]]]) -> dict[Path, str]:
+    """Of each baseline's weights that take part in a comparison."""
+    documents: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, kinds in found.items():
+        for kind, document in kinds.items():
+            for used in document.get("baselines", []):
+                documents.setdefault(used["name"], {})[f"{kind}-{name}"] = document
+    cards = {}
+    for name, own in documents.items():
+        folder = weights / name
+        if folder.is_dir():
+            method = next((m for m in METHODS if name.startswith(m.replace(" ", "-"))), "")
+            config = _read(folder / "config.json")
+            try:
+                cards[folder / "README.md"] = render_baseline_card(name, method, config, own)
+            except InvalidInputError:
+                raise
+            except (LookupError, TypeError, ValueError, AttributeError) as cause:
+                raise InvalidInputError(f"cannot make the card of {name}: {cause!r}") from cause
+    return cards
 
 
 def _read(file: Path) -> dict[str, Any]:
