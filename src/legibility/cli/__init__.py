@@ -28,6 +28,7 @@ _VERBS = {
     "train legibility-diffuser": "train a baseline that is guided away from the other goals",
     "evaluate dial": "measure achieved against asked legibility on scenes never seen",
     "evaluate execution": "measure executed motions and what moves them on scenes never seen",
+    "evaluate ablations": "measure what each part of stage 1 is worth, by small runs without it",
     "report": "render measurements as tables, figures and model cards",
     "doctor": "tell what is installed, what works here, and what to do about the rest",
 }
@@ -35,7 +36,7 @@ _GROUPS = {
     "train": "make the weights of a model from a dataset",
     "evaluate": "measure a model on scenes that training never drew",
 }
-_RESUMED = ("data", "train")
+_RESUMED = ("data", "train", "evaluate ablations")
 """Verbs that go on where they were interrupted."""
 
 
@@ -61,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # of the parser: 0 after --help, 2 after a mistake
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt:
-        resumes = bool(given) and given[0] in _RESUMED
+        resumes = " ".join(given[:2]).startswith(_RESUMED)
         return _fail("interrupted" + "; the same command resumes" * resumes, 130)
     except LegibilityError as error:
         return _fail(f"error: {error}", 2)

@@ -10,7 +10,13 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
-from ..evaluation.card import dial_section, execution_section, render_card, replace_table
+from ..evaluation.card import (
+    ablations_section,
+    dial_section,
+    execution_section,
+    render_card,
+    replace_table,
+)
 from ..evaluation.figures import dial_figure
 from ..files import read_text, write_bytes
 from .options import Folder, OutputFile
@@ -25,9 +31,9 @@ def report(
     """Render what `legibility evaluate` wrote: tables, figures and model cards.
 
     DIR holds, for weights NAME, dial-NAME.json of `evaluate dial`, closed-loop-NAME.json of the
-    same with --closed-loop, execution-NAME.json of `evaluate execution` and, of the same in another
-    simulator, transfer-NAME.json. Each becomes a text,
-    DIR/KIND-NAME.md, the first two a figure DIR/KIND-NAME.png too.
+    same with --closed-loop, execution-NAME.json of `evaluate execution`, of the same in another
+    simulator transfer-NAME.json, and ablations-NAME.json of `evaluate ablations`. Each becomes a
+    text, DIR/KIND-NAME.md, the first two a figure DIR/KIND-NAME.png too.
 
     Args:
         results: folder of the JSON files.
@@ -76,6 +82,7 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "closed-loop": dial_section,
     "execution": execution_section,
     "transfer": execution_section,
+    "ablations": ablations_section,
 }
 
 
