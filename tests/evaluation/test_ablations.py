@@ -115,6 +115,8 @@ class TestEvaluate:
             config = stages["path"].config
             made[name] = (config.field, config.label, training["path"]["data"]["scenes"])
             assert training["path"]["training"]["steps"] == 2
+            if name != "rank-label":
+                assert training["path"]["digest"] == f"{data.digest}[:{made[name][2]}]"
             assert config.channels == TINY.channels
         assert made == {
             "reference": (True, "anchored", 2),
@@ -122,7 +124,6 @@ class TestEvaluate:
             "rank-label": (True, "rank", 2),
             "scenes-3": (True, "anchored", 3),
         }
-        assert training["path"]["digest"] == f"{data.digest}[:3]"
         assert Dataset.load(folder / "rank-data").scenes == data.scenes[:2]
 
     def test_progress(self, evaluated):
