@@ -456,6 +456,29 @@ class TestContent:
         assert other.digest != Dataset.load(tiny).digest
 
 
+class TestFirst:
+    def test_is_the_dataset_of_as_many_scenes(self, tiny, tmp_path, small_shards):
+        found = Dataset.load(tiny).first(5)
+        whole = generate(dataclasses.replace(TINY, scenes=5), tmp_path)
+        assert (found.config, found.scenes) == (whole.config, whole.scenes)
+        for field in dataclasses.fields(Dataset)[3:-1]:
+            np.testing.assert_array_equal(getattr(found, field.name), getattr(whole, field.name))
+        assert found.summary.keys() == whole.summary.keys()
+        for name, values in found.summary.items():
+            np.testing.assert_array_equal(values, whole.summary[name])
+
+    def test_digest_says_so(self, tiny):
+        whole = Dataset.load(tiny)
+        assert whole.first(2).digest == f"{whole.digest}[:2]"
+        assert whole.first(6) is whole
+
+    def test_refuses(self, tiny):
+        with pytest.raises(InvalidInputError, match="the data have 6 scenes, 7 are asked"):
+            Dataset.load(tiny).first(7)
+        with pytest.raises(InvalidInputError, match="scenes must be an integer of at least 1"):
+            Dataset.load(tiny).first(0)
+
+
 class TestSelect:
     @pytest.fixture(scope="class")
     @staticmethod

@@ -7,7 +7,7 @@ or not there, so an interrupted run goes on where it stopped.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ __all__ = ["Dataset", "DatasetConfig", "generate", "select"]
 
 LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, so that a score can be read as a label later."""
+
+VALIDATION_SCENES = 128
 
 _MANIFEST = "manifest.json"
 
@@ -105,6 +107,10 @@ class DatasetConfig:
         if unknown:
             raise DatasetError(f"unknown dataset settings {sorted(unknown)}")
         return cls(**{**content, "goals": tuple(content["goals"])})
+
+    def for_validation(self) -> DatasetConfig:
+        """The same of 128 scenes of the validation stream."""
+        return replace(self, stream="validation", scenes=VALIDATION_SCENES)
 
     def scene(self, index: int) -> tuple[Scene, Archive]:
         """Scene `index` of this dataset and its archive; the target is goal 0."""
@@ -234,7 +240,8 @@ class Dataset:
 
     Attributes:
         config: what it was made with.
-        digest: hash over all shards, which names the data in a model card.
+        digest: hash over all shards, which names the data in a model card; `[:n]` behind it means
+            their first n scenes.
         scenes: the S scenes; the target is goal 0 in each.
         controls: `(S, N, 4, D)` float32 [m], cubic Béziers.
         waypoints: `(S, N, K, D)` float32 [m], between start and goal at equal arc length.
@@ -269,6 +276,28 @@ class Dataset:
             return cls.of_table(config, digest, table)
         except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
             raise DatasetError(f"{folder} has a manifest that is not its own") from cause
+
+    def first(self, num: int) -> Dataset:
+        """The first `num` scenes, which are those of a dataset of `num` scenes.
+
+        Raises:
+            InvalidInputError: there are fewer.
+        """
+        if count("scenes", num) > len(self.scenes):
+            raise InvalidInputError(f"the data have {len(self.scenes)} scenes, {num} are asked")
+        if num == len(self.scenes):
+            return self
+        return Dataset(
+            config=replace(self.config, scenes=num),
+            digest=f"{self.digest}[:{num}]",
+            scenes=self.scenes[:num],
+            controls=self.controls[:num],
+            waypoints=self.waypoints[:num],
+            scores=self.scores[:num],
+            labels=self.labels[:num],
+            score_at_label=self.score_at_label[:num],
+            summary={name: values[:num] for name, values in self.summary.items()},
+        )
 
     @classmethod
     def of_table(cls, config: DatasetConfig, digest: str, table: pa.Table) -> Dataset:

@@ -333,10 +333,11 @@ class Modulator:
 
         Where the best way round changes with ℓ, a draw may fall between two ways. With anchored
         labels the straight line's score tells: what is asked to be legible must not cost more than
-        it, what is asked to be ambiguous not less. Each attempt asks for a little less.
+        it, what is asked to be ambiguous not less. Each attempt asks for a little less. A model
+        without the field is not helped by the field here either.
         """
         drawn = self._draw(scenes, targets, levels, seed, guidance, steps)
-        if self.config.label != "anchored":
+        if self.config.label != "anchored" or not self.config.field:
             return drawn
         for attempt in range(1, _ATTEMPTS + 1):
             wrong = self._wrong_side(scenes, targets, levels, drawn)

@@ -177,6 +177,7 @@ def test_read_only_output(dataset, weights, refused):
         ["train path --out /proc/legibility --data", dataset],
         ["evaluate dial --json /proc/j.json --model", weights],
         ["evaluate execution --json /proc/j.json --model", weights],
+        ["evaluate ablations --out /proc/legibility --data", dataset],
         ["execute scene.yaml --video /proc/f.gif --model", weights],
         ["execute scene.yaml --figure /proc/legibility/f.png --model", weights],
     ):
@@ -264,3 +265,31 @@ def test_evaluate(flags, message, weights, refused):
 def test_evaluate_execution(flags, message, refused):
     line = f"evaluate execution --scenes 1 --rollouts 3 {flags} --json j.json"
     assert message in refused(line)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--scenes 0", "scenes must be"),
+        ("--goals 1..3", "goals must"),
+        ("--seed -1", "seed must be"),
+        ("--levels 2", "levels must be"),
+        ("--samples 0", "samples must be"),
+        ("--sampling-steps 101", "sampling_steps must be at most 100"),
+        ("--guidance nan", "guidance must be finite"),
+        ("--training-steps 0", "training_steps must be"),
+        ("--training-scenes 0", "training_scenes must be"),
+        ("--training-scenes 5", "the data have 4 scenes, 5 are asked"),
+        ("--scene-numbers 2 0", "scene_numbers must be"),
+        ("--scene-numbers 9", "the data have 4 scenes, 9 are asked"),
+        ("--out scene.yaml", "is not a folder"),
+        ("--json .", "it is a folder"),
+        ("--model nothing", "there are no weights 'nothing'"),
+        ("--data nothing", "cannot read the dataset manifest"),
+        ("--workers 0", "workers must be"),
+        ("--device nothing", "device 'nothing' cannot be used"),
+    ],
+)
+def test_evaluate_ablations(flags, message, dataset, weights, refused):
+    line = "evaluate ablations --training-scenes 2 --scene-numbers 4 --out o --json j.json --model"
+    assert message in refused(line, weights, "--data", dataset, *flags.split())

@@ -44,3 +44,33 @@ def test_execution(here, one_thread, cli, capsys):
         assert name in text
         assert sum(row["reasons"].values()) == 3
     assert "3 at once on 1 threads" in text
+
+
+def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys):
+    monkeypatch.setattr("legibility.dataset.VALIDATION_SCENES", 2)
+    monkeypatch.setattr("legibility.evaluation.dial.plan_milliseconds", lambda *_, **__: 1.5)
+    flags = (
+        "--scenes 1 --goals 2 --seed 1 --levels 3 --samples 1 --sampling-steps 1 --guidance 0"
+        " --training-steps 2 --training-scenes 2 --scene-numbers 4"
+    )
+    words = f"evaluate ablations {flags} --out runs --json ablations-tiny.json --data"
+    assert cli(words, dataset, "--model", weights) == 0
+    output = capsys.readouterr()
+    content = json.loads(Path("ablations-tiny.json").read_text())
+    assert content["config"]["scene_numbers"] == [4]
+    assert content["model"]["name"] == weights
+    rows = content["result"]["rows"]
+    assert list(rows) == ["as-shipped", "steps-1", "guidance-0", "reference", "without-field",
+                          "rank-label", "scenes-4"]  # fmt: skip
+    for row in rows.values():
+        assert row["text"] in output.out
+        assert f"{row['text']}: spearman " in output.err
+    assert cli("report .") == 0
+    section = Path("ablations-tiny.md").read_text()
+    assert section.strip() in capsys.readouterr().out
+    assert "| small run on rank labels | " in section
+    assert not Path("ablations-tiny.png").exists()
+
+    monkeypatch.setattr("legibility.training.path.PathBatches.loss", None)
+    assert cli(words, dataset, "--model", weights) == 0
+    assert json.loads(Path("ablations-tiny.json").read_text()) == content

@@ -133,7 +133,7 @@ def test_no_results(here, refused):
     assert all(f"{kind}-*.json" in message for kind in KINDS)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "ablations"])
 @pytest.mark.parametrize("content", ["", "[1]", "{}", '{"result": {}}', '{"config": 3}'])
 def test_broken_results(kind, content, here, refused):
     Path(f"{kind}-x.json").write_text(content)

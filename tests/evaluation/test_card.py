@@ -7,6 +7,7 @@ import pytest
 
 from legibility.errors import InvalidInputError
 from legibility.evaluation.card import (
+    ablations_section,
     dial_section,
     execution_section,
     render_card,
@@ -66,6 +67,19 @@ def transfer():
         row |= {"counts": {"table_contacts": number, "self_collisions": 2},
                 "farthest_outside": 0.0012}  # fmt: skip
     return document
+
+
+def ablations():
+    names = ("spearman", "error", "at_1", "at_-1", "at_0", "length_ratio_at_0")
+    overall = {name: figure(0.5 + i / 100) for i, name in enumerate(names)}
+    rows = {name: {"text": f"row {name}", "small_run": name == "b", "sha256": "a" * 64,
+                   "overall": overall, "plan_ms": 7.25} for name in "ab"}  # fmt: skip
+    return {
+        "command": "legibility evaluate ablations --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 50, "goals": [2, 6], "levels": 11, "samples": 4,
+                   "training_steps": 3000, "training_scenes": 3200},
+        "result": {"rows": rows, "data": "d" * 64},
+    }  # fmt: skip
 
 
 DATA = {"scenes": 12800, "seed": 0, "stream": "train", "goals": [2, 6], "per_scene": 129}
@@ -154,6 +168,21 @@ class TestExecution:
         assert "outside the workspace (by at most 1.2 mm)" in text
         assert "not disturbed, had 0 table contacts, 2 self collisions." in text
         assert "the Panda of panda-gym" in text
+
+
+class TestAblations:
+    def test_every_row_is_there(self):
+        rows = cells(ablations_section(ablations()))
+        assert [row[0] for row in rows[2:]] == ["row a", "row b"]
+        assert rows[2][1:] == ["0.5000", "0.5100", "0.5200", "0.5300", "0.5500", "7.2 ms"]
+        assert {len(row) for row in rows} == {7}
+
+    def test_what_was_run_is_told(self):
+        text = " ".join(ablations_section(ablations()).split())
+        assert "50 random scenes with 2 to 6 goals that training never drew (seed 7)" in text
+        assert "small runs have the same network but only 3,000 steps of training" in text
+        assert "on 3,200 scenes where no other number is named" in text
+        assert text.endswith("Measured by `legibility evaluate ablations --seed 7`.")
 
 
 class TestCard:

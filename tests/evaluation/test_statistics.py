@@ -10,6 +10,8 @@ from legibility.evaluation.statistics import (
     CONFIDENT,
     bootstrap_interval,
     clear_step,
+    holm,
+    paired_test,
     rank_correlation,
     share_interval,
     summary,
@@ -124,3 +126,62 @@ def test_clear_step(beliefs):
     else:
         assert (beliefs[found:] >= CONFIDENT).all()
         assert found == 0 or beliefs[found - 1] < CONFIDENT
+
+
+class TestPaired:
+    @given(st.lists(st.tuples(whole, whole), min_size=3, max_size=40))
+    def test_p_is_scipys(self, pairs):
+        first, second = np.array(pairs).T
+        found = paired_test(first, second)
+        if (first == second).all():
+            assert found["p"] == 1
+            assert found["effect"] == 0
+        else:
+            assert found["p"] == stats.wilcoxon(first, second, zero_method="wilcox").pvalue
+        assert found["difference"] == pytest.approx((first - second).mean())
+
+    @given(st.lists(st.tuples(whole, whole), min_size=3, max_size=40))
+    def test_effect_is_that_of_scipys_rank_sum(self, pairs):
+        """Kerby's simple difference: T⁺ over the sum of all ranks, and back to [−1, 1]."""
+        first, second = np.array(pairs).T
+        number = np.count_nonzero(first - second)
+        if number:
+            positive = stats.wilcoxon(first - second, alternative="greater").statistic
+            wanted = 2 * positive / (number * (number + 1) / 2) - 1
+            assert paired_test(first, second)["effect"] == pytest.approx(wanted, abs=1e-12)
+
+    def test_always_greater_is_one(self):
+        values = np.random.default_rng(0).normal(size=100)
+        found = paired_test(values + 0.1, values)
+        assert found["effect"] == 1
+        assert found["p"] < 1e-15
+        np.testing.assert_allclose([found["difference"], *found["interval"]], 0.1)
+
+    def test_rounding_is_no_difference(self):
+        values = np.array([0.1 + 0.2, 1.0, 2.0])
+        assert paired_test(values, np.array([0.3, 1.0, 2.0]))["p"] == 1
+
+    def test_a_known_case(self):
+        """Pratt's plant heights, the example of scipy's documentation."""
+        difference = np.array([6, 8, 14, 16, 23, 24, 28, 29, 41, -48, 49, 56, 60, -67, 75])
+        found = paired_test(difference, np.zeros(15))
+        assert found["p"] == pytest.approx(0.041259765625)
+        assert found["effect"] == pytest.approx((96 - 24) / 120)
+
+
+class TestHolm:
+    def test_a_known_case(self):
+        """Computed by hand: 0.01·4, 0.02·3 (and not less), 0.03·2, 0.04."""
+        np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])),
+                                   [0.03, 0.06, 0.06, 0.02])  # fmt: skip
+
+    @given(st.lists(st.floats(0, 1), min_size=1, max_size=30))
+    def test_laws(self, p_values):
+        raw = np.array(p_values)
+        found = holm(raw)
+        assert (found >= raw).all()
+        assert (found <= np.minimum(1, raw * len(raw)) + 1e-12).all()  # Bonferroni's at most
+        assert (np.diff(found[np.argsort(raw, kind="stable")]) >= 0).all()
+        # Less strict than Holm is Benjamini and Hochberg's, which scipy has.
+        assert (found >= stats.false_discovery_control(raw) - 1e-12).all()
+        assert found.min() == pytest.approx(min(1, raw.min() * len(raw)))

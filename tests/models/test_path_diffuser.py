@@ -9,7 +9,8 @@ import torch
 
 from legibility import InformationPotentialField, Scene
 from legibility.curves import NUM_WAYPOINTS
-from legibility.errors import CheckpointError
+from legibility.errors import CheckpointError, InvalidInputError
+from legibility.models.checkpoint import load_state
 from legibility.models.diffusion import noise_schedule, sampling_timesteps
 from legibility.models.frame import DEPTH, Frame, vector_size
 from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
@@ -46,7 +47,10 @@ def dim(request):
 class TestConfig:
     @pytest.mark.parametrize(
         "config",
-        [PathDiffuserConfig(), PathDiffuserConfig(dim=3, label="rank", guidance=0.5, **TINY)],
+        [
+            PathDiffuserConfig(),
+            PathDiffuserConfig(dim=3, label="rank", field=False, guidance=0.5, **TINY),
+        ],
         ids=str,
     )
     def test_round_trip(self, config):
@@ -62,6 +66,11 @@ class TestConfig:
     def test_no_other_key(self):
         with pytest.raises(CheckpointError, match="speed"):
             PathDiffuserConfig.from_dict({**PathDiffuserConfig().to_dict(), "speed": 1})
+
+    @pytest.mark.parametrize("field", [1, None, "no"])
+    def test_field_is_there_or_not(self, field):
+        with pytest.raises(InvalidInputError, match="field must be true or false"):
+            PathDiffuserConfig(field=field)
 
 
 class TestLatent:
@@ -256,6 +265,56 @@ class TestSample:
         found = self.sample(make(), steps=steps)
         assert torch.isfinite(found).all()
         assert torch.equal(found, self.sample(make(sampling_steps=steps)))
+
+
+class TestWithoutField:
+    def sample(self, model, seen, level=1.0, **options):
+        conditions = model.conditions(seen, [0] * len(seen))
+        return model.sample(
+            conditions, torch.full((3,), level), noise(3, model.config.dim), **options
+        )
+
+    @pytest.mark.parametrize("guidance", [0.0, 0.5])
+    def test_distractors_are_not_seen(self, dim, guidance):
+        one = scenes(dim)
+        other = [
+            Scene(scene.start, [scene.goals[0], scene.workspace[i % 2]], scene.workspace)
+            for i, scene in enumerate(one)
+        ]
+        model = make(dim, field=False)
+        assert torch.equal(
+            self.sample(model, one, guidance=guidance), self.sample(model, other, guidance=guidance)
+        )
+        assert not torch.allclose(
+            *(self.sample(make(dim), s, guidance=guidance) for s in (one, other))
+        )
+
+    def test_target_and_level_are_seen(self, dim):
+        model = make(dim, field=False)
+        assert not torch.allclose(*(self.sample(model, scenes(dim), ell) for ell in (-1.0, 1.0)))
+        found = self.sample(model, scenes(dim))
+        turned = [Scene(s.goals[0], [s.start, *s.goals[1:]], s.workspace) for s in scenes(dim)]
+        assert not torch.allclose(found, self.sample(model, turned))
+
+    def test_the_unconditional_path_is_without_level(self):
+        """With w = −1 only it is left, see above."""
+        model = make(field=False)
+        ends = [self.sample(model, scenes(2), ell, guidance=-1.0) for ell in (-1.0, 1.0)]
+        torch.testing.assert_close(*ends, atol=1e-4, rtol=1e-4)
+
+    def test_every_parameter_is_trained(self):
+        model = make(field=False)
+        conditions = model.conditions(scenes(2), [0, 0, 0])
+        keep = torch.tensor([True, False, True])
+        context = model.encode(model.encode_scene(conditions, keep), torch.ones(3), keep)
+        model(noise(3, 2), torch.full((3,), 50), context, conditions, keep).sum().backward()
+        assert all(parameter.grad is not None for parameter in model.parameters())
+
+    def test_weights_are_not_those_of_a_model_with_it(self):
+        with pytest.raises(CheckpointError, match="unknown"):
+            load_state(make(field=False), make().state_dict(), "path.safetensors")
+        with pytest.raises(CheckpointError, match="missing"):
+            load_state(make(), make(field=False).state_dict(), "path.safetensors")
 
 
 class TestSampler:

@@ -31,6 +31,7 @@ _VERBS = {
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
     "evaluate unseen": "the same methods in scenes never seen, over each scene's oracle",
     "evaluate spectrum": "the paper's figure 3: motions over the whole dial and their cost",
+    "evaluate ablations": "measure what each part of stage 1 is worth, by small runs without it",
     "report": "render measurements as tables, figures and model cards",
     "doctor": "tell what is installed, what works here, and what to do about the rest",
 }
@@ -38,7 +39,7 @@ _GROUPS = {
     "train": "make the weights of a model from a dataset",
     "evaluate": "measure a model on scenes that training never drew",
 }
-_RESUMED = ("data", "train")
+_RESUMED = ("data", "train", "evaluate ablations")
 """Verbs that go on where they were interrupted."""
 
 
@@ -64,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # of the parser: 0 after --help, 2 after a mistake
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt:
-        resumes = bool(given) and given[0] in _RESUMED
+        resumes = " ".join(given[:2]).startswith(_RESUMED)
         return _fail("interrupted" + "; the same command resumes" * resumes, 130)
     except LegibilityError as error:
         return _fail(f"error: {error}", 2)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from ..dataset import Dataset
 from ..envs import environment_dim
 from ..errors import CheckpointError
+from ..evaluation.ablations import COLUMNS, AblationsConfig, evaluate_ablations
 from ..evaluation.comparison import METHODS, METRICS, TESTED
 from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
 from ..evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
@@ -27,6 +30,7 @@ from .options import MODEL, MODELS, OptionalText, OutputFile, flags, made
 from .output import (
     check_figure,
     check_file,
+    check_folder,
     model_record,
     number,
     progress_bar,
@@ -41,6 +45,7 @@ _Table1 = flags(Table1Config)
 _Unseen = flags(UnseenConfig)
 _Spectrum = flags(SpectrumConfig)
 _Execution = flags(ExecutionConfig)
+_Ablations = flags(AblationsConfig)
 
 
 def dial(
@@ -311,3 +316,47 @@ def _contestants(
     modulator = Modulator.from_pretrained(name)
     others = [model_record(weights) for weights in names.values()]
     return modulator, policies, model_record(name), others
+
+
+def ablations(
+    evaluation: Annotated[Any, arg(constructor=_Ablations)],
+    data: Annotated[Path, arg(metavar="DIR")],
+    out: Annotated[Path, arg(metavar="DIR")],
+    model: str = MODEL,
+    workers: int = 1,
+    device: OptionalText = None,
+    json: OutputFile = None,
+) -> None:
+    """Measure the dial of the weights sampled otherwise, and of small runs that lack a part.
+
+    Small runs are trained in OUT: the reference, without the field, on rank labels, and on other
+    numbers of scenes. Interrupted, the same command resumes.
+
+    Args:
+        evaluation: what is measured, and how small runs are trained.
+        data: folder of the dataset whose first scenes small runs are trained on.
+        out: folder of the small runs, their data and what was measured so far.
+        model: name of weights that came with the package, or a folder.
+        workers: processes that make data.
+        device: cpu or cuda; if not given, a GPU where there is one.
+        json: everything as JSON.
+    """
+    settings = made(AblationsConfig, evaluation)
+    check_file(json, "JSON file")
+    check_folder(out, "small runs")
+    used = model_record(model)
+    dataset = Dataset.load(data)
+    with progress_bar("scenes and training steps") as progress:
+        result = evaluate_ablations(
+            model, dataset, out, settings, workers=workers, device=device, progress=progress
+        )
+    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
+    rows = table(
+        f"{model}, {settings.scenes} scenes with {'..'.join(map(str, settings.goals))} goals",
+        "what is changed", *COLUMNS.values(), "plan [ms]",
+        text_columns=1,
+    )  # fmt: skip
+    for row in result["rows"].values():
+        figures = (number(row["overall"][name]["mean"], 4) for name in COLUMNS)
+        rows.add_row(row["text"], *figures, number(row["plan_ms"], 1))
+    show(rows, f"small runs are trained for {settings.training_steps} steps")

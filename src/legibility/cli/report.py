@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
 from ..evaluation.card import (
+    ablations_section,
     dial_section,
     execution_section,
     render_baseline_card,
@@ -40,11 +41,11 @@ def report(
     """Render what `legibility evaluate` wrote: tables, figures and model cards.
 
     DIR holds, for weights NAME, dial-NAME.json of `evaluate dial`, closed-loop-NAME.json of the
-    same with --closed-loop, execution-NAME.json of `evaluate execution` and, of the same in another
-    simulator, transfer-NAME.json; for an environment NAME, table1-NAME.json, unseen-NAME.json and
-    spectrum-NAME.json of the verbs of those names. Each becomes a text, DIR/KIND-NAME.md; dials and
-    spectra become figures too, .png and for the latter .pdf, Table I a LaTeX tabular, .tex, and a
-    .csv.
+    same with --closed-loop, execution-NAME.json of `evaluate execution`, of the same in another
+    simulator transfer-NAME.json, and ablations-NAME.json of `evaluate ablations`; for an
+    environment NAME, table1-NAME.json, unseen-NAME.json and spectrum-NAME.json of the verbs of
+    those names. Each becomes a text, DIR/KIND-NAME.md; dials and spectra become figures too, .png
+    and for the latter .pdf, Table I a LaTeX tabular, .tex, and a .csv.
 
     Args:
         results: folder of the JSON files.
@@ -97,6 +98,7 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "table1": table1_section,
     "unseen": unseen_section,
     "spectrum": spectrum_section,
+    "ablations": ablations_section,
 }
 
 

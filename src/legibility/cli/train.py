@@ -50,7 +50,6 @@ _PolicyModel = flags(PathPolicyConfig, "dim", "limit")
 _GoalModel = flags(GoalPolicyConfig, "dim", "limit", "guidance", "guidance_decay", "guidance_share")
 _DiffusionPolicyTraining = flags(PolicyTrainingConfig, dropout=0.0)
 _LegibilityDiffuserTraining = flags(PolicyTrainingConfig, dropout=0.2)
-_VALIDATION_SCENES = 128
 
 
 def path(
@@ -308,7 +307,7 @@ def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: 
         return Dataset.load(folder)
     if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
-    config = replace(config, stream="validation", scenes=_VALIDATION_SCENES)
+    config = config.for_validation()
     with progress_bar("shards for validation") as progress:
         return generate(config, out / "validation", workers=workers, progress=progress)
 

@@ -6,12 +6,14 @@ from typing import Any
 
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
+from .ablations import COLUMNS
 from .comparison import METHODS
 from .dial import FIGURES, worst
 from .execution import ROWS
 from .wording import WORLDS, filled, goals_of, threads_of
 
 __all__ = [
+    "ablations_section",
     "dial_section",
     "dial_table",
     "execution_section",
@@ -114,6 +116,33 @@ amortised over its chunk. With {result["at_once"]} robots at once
 {means}
 
 {speed}
+
+Measured by `{document["command"]}`."""
+
+
+def ablations_section(document: dict[str, Any]) -> str:
+    """The dial of weights sampled otherwise and of small runs that lack a part, in Markdown."""
+    config = document["config"]
+    table = [
+        f"| what is changed | {' | '.join(COLUMNS.values())} | one plan |",
+        "| --- " * (len(COLUMNS) + 2) + "|",
+    ]
+    for row in document["result"]["rows"].values():
+        figures = " | ".join(f"{row['overall'][name]['mean']:.4f}" for name in COLUMNS)
+        table.append(f"| {row['text']} | {figures} | {row['plan_ms']:.1f} ms |")
+    on = filled(f"""\
+Means over {config["scenes"]} random scenes with {goals_of(config)} that training never drew (seed
+{document["seed"]}), {config["levels"]} levels of ℓ, {config["samples"]} paths each. The first rows
+are the weights themselves, sampled otherwise. The small runs have the same network but only
+{config["training_steps"]:,} steps of training, on {config["training_scenes"]:,} scenes where no
+other number is named, so they are to be compared with the first of them, not with the weights.
+Without the field, and on rank labels, a path on the wrong side of the straight line is not drawn
+again; on rank labels ℓ = 0 is not the straight line. Lengths are in those of the straight line; a
+plan was timed on one core.""")
+    return f"""\
+{on}
+
+{chr(10).join(table)}
 
 Measured by `{document["command"]}`."""
 

@@ -36,6 +36,7 @@ class PathDiffuserConfig:
         sigma: σ [m] of the observer whose labels it learned.
         alpha: decay of that score's weight.
         label: `anchored` or `rank`.
+        field: whether it sees the field; without it, it knows start, goal, workspace and ℓ alone.
         channels: of the U-Net's levels.
         condition: size of the condition.
         encoder_width: channels of the image encoder's first layer.
@@ -53,6 +54,7 @@ class PathDiffuserConfig:
     sigma: float = 0.15
     alpha: float = 3.0
     label: str = "anchored"
+    field: bool = True
     channels: tuple[int, ...] = (64, 128)
     condition: int = 192
     encoder_width: int = 16
@@ -67,6 +69,8 @@ class PathDiffuserConfig:
             raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
         if self.label not in LABELS:
             raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {self.label!r}")
+        if not isinstance(self.field, bool):
+            raise InvalidInputError(f"field must be true or false, got {self.field!r}")
         if not self.channels or NUM_WAYPOINTS % 2 ** (len(self.channels) - 1):
             raise InvalidInputError(f"channels must be of 1 to 4 levels, got {self.channels}")
         for name in ("channels", "encoder_width", "resolution"):
@@ -181,11 +185,12 @@ class PathDiffuser(nn.Module):
         super().__init__()
         self.config = config
         size = config.condition
-        slices = DEPTH if config.dim == 3 else 1
-        self.encoder = FieldEncoder(
-            FIELD_CHANNELS * slices, config.resolution, config.encoder_width, size
-        )
-        self.distractors = DistractorEncoder(2 * config.dim + 1, size)
+        if config.field:
+            slices = DEPTH if config.dim == 3 else 1
+            self.encoder = FieldEncoder(
+                FIELD_CHANNELS * slices, config.resolution, config.encoder_width, size
+            )
+            self.distractors = DistractorEncoder(2 * config.dim + 1, size)
         self.place = nn.Linear(vector_size(config.dim), size)
         self.no_field = nn.Parameter(torch.zeros(size))
         self.scene = nn.Sequential(nn.SiLU(), Residual(size))
@@ -207,10 +212,16 @@ class PathDiffuser(nn.Module):
 
     def encode_scene(self, conditions: Conditions, keep: Tensor | None = None) -> Tensor:
         """`(B, E)` of the scene; where `keep (B,)` is false the field is dropped."""
+        if not self.config.field:
+            return self._without_field(conditions)
         features = self.encoder(conditions.image) + self.distractors(*conditions.distractors())
         if keep is not None:
             features = torch.where(keep[:, None], features, self.no_field)
         return self.scene(features + self.place(conditions.vector))
+
+    def _without_field(self, conditions: Conditions) -> Tensor:
+        """What `encode_scene` gives where the field is dropped, without drawing on the image."""
+        return self.scene(self.no_field + self.place(conditions.vector))
 
     def encode(self, scene: Tensor, level: Tensor, keep: Tensor | None = None) -> Tensor:
         """`(B, E)` of scene and ℓ `(B,)`; where `keep (B,)` is false ℓ is dropped."""
@@ -230,7 +241,7 @@ class PathDiffuser(nn.Module):
         """The velocity v (Salimans & Ho 2022), `(B, K, D)`.
 
         Besides the noisy waypoints themselves, the U-Net reads the field at them: its potential and
-        gradient, and the distance to the nearest wall.
+        gradient (unless the model is one without the field), and the distance to the nearest wall.
 
         Args:
             noisy: `(B, K, D)`, noisy latent.
@@ -249,6 +260,8 @@ class PathDiffuser(nn.Module):
                 torch.asinh(gradient) / 2,
                 torch.tanh(2 * conditions.wall_distance(points))[..., None],
             ], dim=-1)  # fmt: skip
+            if not self.config.field:
+                reading[..., :-1] = 0
             if keep is not None:
                 reading = reading * keep[:, None, None]
         return self.unet(torch.cat([noisy, reading], dim=-1), nn.functional.silu(condition))
@@ -294,8 +307,7 @@ class PathDiffuser(nn.Module):
         seen, keep = conditions.without_image(), None
         if guidance:  # with and without conditions in one batch
             none = torch.zeros_like(level, dtype=torch.bool)
-            # What `encode_scene` gives where the field is dropped, without drawing on the image.
-            scene = self.scene(self.no_field + self.place(conditions.vector))
+            scene = self._without_field(conditions)
             context = torch.cat([context, self.encode(scene, level, none)])
             keep = torch.cat([~none, none])
             if len(seen.vector) > 1:

@@ -1,0 +1,252 @@
+"""What each part of stage 1 is worth: the dial without it, or with more or less of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..checks import count
+from ..dataset import Dataset, DatasetConfig, generate
+from ..errors import InvalidInputError
+from ..files import file_hash, write_json
+from ..models.path_diffuser import PathDiffuserConfig
+from ..models.pretrained import pretrained_folder, save_stage
+from ..modulator import Modulator
+from ..shards import SHARD
+from ..training import PathTrainingConfig, choose_device, train_path
+from .dial import DialConfig, evaluate_dial
+
+__all__ = ["COLUMNS", "AblationsConfig", "Variant", "evaluate_ablations", "variants"]
+
+COLUMNS = {
+    "spearman": "Spearman",
+    "error": "error of ℓ",
+    "at_1": "ℓ when asked 1",
+    "at_-1": "ℓ when asked −1",
+    "length_ratio_at_0": "length when asked 0",
+}
+"""Headings of the dial's figures that a table of the rows shows."""
+
+_FIXED_BY_DATA = ("dim", "sigma", "alpha", "label")
+
+
+@dataclass(frozen=True)
+class AblationsConfig:
+    """What is evaluated and how the small runs are trained.
+
+    Attributes:
+        scenes: random scenes of the evaluation stream.
+        goals: least and most goals of a scene.
+        seed: of the scenes and of the plans.
+        levels: levels of ℓ at equal steps from −1 to 1.
+        samples: paths drawn for a level.
+        sampling_steps: of the sampler, each on the weights as they are.
+        guidance: weights of classifier-free guidance at ±1, each on the weights as they are.
+        training_steps: optimiser steps of each small run.
+        training_scenes: scenes that small runs are trained on.
+        scene_numbers: other numbers of scenes, of a small run each.
+    """
+
+    scenes: int = 50
+    goals: tuple[int, int] = (2, 6)
+    seed: int = 0
+    levels: int = 11
+    samples: int = 4
+    sampling_steps: tuple[int, ...] = (1, 2, 4, 8, 100)
+    guidance: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0)
+    training_steps: int = 3000
+    training_scenes: int = 3200
+    scene_numbers: tuple[int, ...] = (200, 800, 12800)
+
+    def __post_init__(self) -> None:
+        count("training_steps", self.training_steps)
+        count("training_scenes", self.training_scenes)
+        for number in self.scene_numbers:
+            count("scene_numbers", number)
+        # What is wrong with the rest is told before anything is trained.
+        DatasetConfig(scenes=self.scenes, goals=self.goals, seed=self.seed)
+        self.dial()
+
+    def dial(self, steps: int | None = None, guidance: float | None = None) -> DialConfig:
+        """How a row is measured, `steps` and `guidance` of the sampler as in `DialConfig`."""
+        return DialConfig(
+            scenes=self.scenes, goals=self.goals, seed=self.seed, levels=self.levels,
+            samples=self.samples, candidates=0, guidance=guidance, steps=steps,
+        )  # fmt: skip
+
+
+class Variant(NamedTuple):
+    """A row: the weights as they are, sampled in some way, or a small run on `scenes` scenes."""
+
+    text: str
+    steps: int | None = None
+    guidance: float | None = None
+    scenes: int | None = None
+    label: str = "anchored"
+    field: bool = True
+
+
+def variants(config: AblationsConfig, model: PathDiffuserConfig) -> dict[str, Variant]:
+    """The rows by name; what is no other than the weights as they are, or the reference, is not.
+
+    Raises:
+        InvalidInputError: the model cannot be sampled so.
+    """
+    own = f"sampling steps {model.sampling_steps}, guidance {model.guidance:g}"
+    rows = {"as-shipped": Variant(f"the weights as they are: {own}")}
+    for steps in config.sampling_steps:
+        if replace(model, sampling_steps=steps) != model:
+            rows[f"steps-{steps}"] = Variant(f"sampling steps {steps}", steps=steps)
+    for guidance in config.guidance:
+        if replace(model, guidance=guidance) != model:
+            rows[f"guidance-{guidance:g}"] = Variant(f"guidance {guidance:g}", guidance=guidance)
+    size = config.training_scenes
+    rows["reference"] = Variant(f"small run: {size:,} training scenes", scenes=size)
+    rows["without-field"] = Variant("small run without the field", scenes=size, field=False)
+    rows["rank-label"] = Variant("small run on rank labels", scenes=size, label="rank")
+    for number in sorted(set(config.scene_numbers) - {size}):
+        rows[f"scenes-{number}"] = Variant(f"small run: {number:,} training scenes", scenes=number)
+    return rows
+
+
+def evaluate_ablations(
+    model: str | Path,
+    data: Dataset,
+    folder: str | Path,
+    config: AblationsConfig | None = None,
+    *,
+    workers: int = 1,
+    device: str | None = None,
+    progress: Callable[[int, int, str], None] = lambda done, total, line: None,
+) -> dict[str, Any]:
+    """Measure the dial of each of `variants`, training the small runs among them.
+
+    A small run has the network of `model` and is trained with the settings of `PathTrainingConfig`
+    but for its steps. Interrupted, the same call goes on: datasets, runs and rows that are in
+    `folder` are not made anew.
+
+    Args:
+        model: name of weights that came with the package, or a folder.
+        data: anchored labelled trajectories that small runs learn the first scenes of.
+        folder: of rank-labelled and validation data, and of each row: a small run's checkpoint, log
+            and weights, and what was measured.
+        config: what is evaluated.
+        workers: processes that make data.
+        device: where small runs are trained; a GPU where there is one.
+        progress: called with the scenes made and measured and the optimiser steps done, their
+            number in all, and a line once a row is measured.
+
+    Returns:
+        `rows`: of each variant its `text`, whether it is `small_run`, `sha256` of its weights,
+        `overall` and `plan_ms` as of `evaluate_dial`; `data`: digest of the training data.
+
+    Raises:
+        InvalidInputError: the data are not for this model, or too few.
+        CheckpointError: the folder holds runs with other settings.
+    """
+    config, folder = config or AblationsConfig(), Path(folder)
+    modulator = Modulator.from_pretrained(model)
+    rows = variants(config, modulator.config)
+    _check(data.config, modulator.config)
+    choose_device(device)  # refused before anything is made
+    parts = {number: data.first(number) for number in {v.scenes for v in rows.values()} if number}
+
+    small = [variant for variant in rows.values() if variant.scenes]
+    made = {
+        "validation": data.config.for_validation(),
+        "rank-data": replace(parts[config.training_scenes].config, label="rank"),
+        "rank-validation": replace(data.config.for_validation(), label="rank"),
+    }
+    total = sum(-(-source.scenes // SHARD) * SHARD for source in made.values())
+    total += len(rows) * config.scenes + len(small) * config.training_steps
+    done = 0
+
+    def part(size: int) -> Callable[..., None]:
+        """The progress of the next part, in which there is `size` to do."""
+        nonlocal done
+        start, done = done, done + size
+        return lambda now, of, *_: progress(start + size * now // of, total, "")
+
+    sets = {}
+    for name, source in made.items():
+        size = -(-source.scenes // SHARD) * SHARD
+        sets[name] = generate(source, folder / name, workers=workers, progress=part(size))
+    result = {}
+    for name, variant in rows.items():
+        weights = pretrained_folder(model)
+        if variant.scenes:
+            rank = variant.label == "rank"
+            weights = _trained(
+                sets["rank-data"] if rank else parts[variant.scenes],
+                sets["rank-validation" if rank else "validation"],
+                replace(modulator.config, label=variant.label, field=variant.field),
+                PathTrainingConfig(steps=config.training_steps),
+                folder / name,
+                device,
+                part(config.training_steps),
+            )
+        found = _measured(
+            weights,
+            config.dial(variant.steps, variant.guidance),
+            folder / name / "dial.json",
+            part(config.scenes),
+        )
+        result[name] = {"text": variant.text, "small_run": bool(variant.scenes), **found}
+        overall = found["overall"]
+        figures = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
+        progress(done, total, f"{variant.text}: {', '.join(figures)}")
+    return {"rows": result, "data": data.digest}
+
+
+def _check(data: DatasetConfig, model: PathDiffuserConfig) -> None:
+    wanted = {"stream": "train", "label": "anchored"}
+    for name, value in wanted.items():
+        if getattr(data, name) != value:
+            raise InvalidInputError(
+                f"the data must have {name} {value}, theirs is {getattr(data, name)}"
+            )
+    for name in _FIXED_BY_DATA:
+        if getattr(data, name) != getattr(model, name):
+            raise InvalidInputError(
+                f"the data have {name} {getattr(data, name)}, the model {getattr(model, name)}"
+            )
+
+
+def _trained(
+    data: Dataset,
+    validation: Dataset,
+    network: PathDiffuserConfig,
+    training: PathTrainingConfig,
+    folder: Path,
+    device: str | None,
+    progress: Callable[..., None],
+) -> Path:
+    """Train a small run in `folder`, or go on with it; the folder of its weights."""
+    settings = {k: v for k, v in vars(network).items() if k not in _FIXED_BY_DATA}
+    trained = train_path(
+        data, validation, folder, training, device=device, progress=progress, **settings
+    )
+    facts = {"data": data.config.to_dict(), "digest": data.digest, "training": asdict(training)}
+    save_stage(folder / "weights", "path", trained, facts)
+    return folder / "weights"
+
+
+def _measured(
+    weights: Path, config: DialConfig, file: Path, progress: Callable[[int, int], None]
+) -> dict[str, Any]:
+    """The dial of `weights`, or what `file` holds if it is of the same; it is kept there."""
+    sha256 = file_hash(weights / "path.safetensors")
+    of = {"sha256": sha256, "config": asdict(config)}
+    try:
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        if kept["of"] == json.loads(json.dumps(of)):
+            return kept["result"]
+    except (OSError, ValueError, LookupError, TypeError):
+        pass  # not measured yet
+    found = evaluate_dial(Modulator.from_pretrained(weights), config, progress=progress)
+    result = {"sha256": sha256, "overall": found["overall"], "plan_ms": found["plan_ms"]}
+    write_json(file, {"of": of, "result": result})
+    return result

@@ -1,0 +1,272 @@
+"""The comparison is paired and fair, and its figures are those of the motions."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import legibility as lg
+from legibility.curves import spaced
+from legibility.envs import vector_type
+from legibility.errors import InvalidInputError
+from legibility.evaluation.comparison import (
+    BASELINE,
+    METHODS,
+    METRICS,
+    OURS,
+    Contest,
+    Job,
+    compare,
+    measured,
+)
+from legibility.evaluation.spectrum import Spectrum, SpectrumConfig, evaluate_spectrum
+from legibility.evaluation.table1 import SCENES, TARGETS, Table1Config, evaluate_table1, paper_rows
+from legibility.evaluation.tables import (
+    spectrum_section,
+    table1_csv,
+    table1_latex,
+    table1_section,
+    unseen_section,
+)
+from legibility.evaluation.unseen import UnseenConfig, evaluate_unseen
+from legibility.models.diffusion import noise_schedule
+from legibility.models.goal_policy import GoalPolicy, GoalPolicyConfig
+from legibility.modulator import Modulator
+
+GUIDED = [name for name, method in METHODS.items() if method.guided]
+KIND = vector_type("2d", 2)
+
+
+@pytest.fixture(scope="module")
+def modulator():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield Modulator.from_pretrained("block-reach-2d")
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def policies():
+    """Untrained ones, which wander."""
+    found = {}
+    for seed, name in enumerate(GUIDED):
+        torch.manual_seed(seed)
+        model = GoalPolicy(
+            GoalPolicyConfig(
+                channels=(8, 16), condition=16, sampling_steps=2, guidance=3.0 * seed,
+            )
+        )  # fmt: skip
+        model.signal.copy_(noise_schedule(100))
+        found[name] = model.eval()
+    return found
+
+
+def written(result):
+    """The result as a report holds it."""
+    from legibility.cli.output import _plain
+
+    return json.loads(json.dumps(_plain(result)))
+
+
+def document(result, config):
+    return {
+        "command": "legibility evaluate x --seed 3",
+        "seed": 3,
+        "config": dataclasses.asdict(config),
+        "result": written(result),
+    }
+
+
+class TestMeasured:
+    @pytest.mark.parametrize(("letter", "wanted"), [("R", 1.546), ("G", 1.201)])
+    def test_the_straight_line_is_the_papers(self, letter, wanted):
+        """Decoded from the paper's Table I, in which its Diffusion Policy has 1.54 and 1.23."""
+        place = SCENES[2]
+        archive = lg.build_archive(
+            place.scene, TARGETS[letter], cells=8, random_candidates=256, max_candidates=256
+        )
+        goal = place.scene.goals[TARGETS[letter]]
+        line = np.linspace(place.scene.start, goal, 57)
+        found = measured(line, place.scene, archive, place.spacing)
+        assert place.unit * found["distance_score"] == pytest.approx(wanted, abs=5e-4)
+        assert found["length_ratio"] == pytest.approx(1)
+        assert found["achieved"] == pytest.approx(0, abs=1e-6)
+        assert list(found) == list(METRICS)
+
+    def test_does_not_depend_on_how_densely_a_motion_is_sampled(self):
+        place = SCENES[2]
+        archive = lg.build_archive(place.scene, cells=8, random_candidates=256, max_candidates=256)
+        t = np.linspace(0, 1, 3001)[:, None]
+        curve = place.scene.start + t * (place.scene.goals[0] - place.scene.start)
+        curve[:, 1] += 0.2 * np.sin(np.pi * t[:, 0])
+        one, two = (measured(curve[::n], place.scene, archive, 0.04) for n in (1, 10))
+        for metric in ("distance_score", "potential_cost", "achieved"):
+            assert one[metric] == pytest.approx(two[metric], rel=2e-3)
+
+    def test_spaced(self):
+        line = np.array([[0.0, 0.0], [0.0, 0.0], [0.03, 0.0], [0.1, 0.0]])
+        np.testing.assert_allclose(spaced(line, 0.04)[:, 0], [0, 0.04, 0.08])
+        np.testing.assert_allclose(spaced(line, 0.05)[:, 0], [0, 0.05, 0.1])
+        np.testing.assert_allclose(spaced(line[:2], 0.05), [[0, 0]])
+
+
+class TestContest:
+    def test_all_methods_have_the_same_robots(self, modulator, policies, monkeypatch):
+        scene = SCENES[2].scene
+        jobs = [Job(scene, 0, 1.0, 11 + i, i) for i in range(3)]
+        archive = modulator.archive(scene, 0)
+        contest = Contest(modulator, policies, KIND, (64, 640))
+        gains = []
+        execute = modulator.execute
+
+        def spy(env, **options):
+            gains.append(env.gains.copy())
+            return execute(env, **options)
+
+        monkeypatch.setattr(modulator, "execute", spy)
+        for name in METHODS:
+            found = contest.rollouts(name, jobs, [archive] * 3)
+            assert len(found) == 3
+            for rollout in found:
+                assert np.isfinite(rollout.states).all()
+                assert np.abs(rollout.actions).max() <= KIND.max_displacement
+                assert rollout.legibility == 1.0
+        for other in gains[1:]:
+            np.testing.assert_array_equal(gains[0], other)
+
+    def test_a_path_does_not_depend_on_the_batch(self, modulator, policies):
+        scene = SCENES[2].scene
+        jobs = [Job(scene, 0, level, 0, i) for i, level in enumerate((-1.0, 0.3, 1.0))]
+        archives = [modulator.archive(scene, 0)] * 3
+        contest = Contest(modulator, policies, KIND, (64, 640))
+        for name, method in METHODS.items():
+            together = contest.paths(name, jobs, archives)
+            alone = contest.paths(name, jobs[1:2], archives[1:2])
+            np.testing.assert_array_equal(together[1].waypoints, alone[0].waypoints)
+            if method.dial:
+                scores = [float(p.score) for p in together]
+                assert scores == sorted(scores), name
+
+    def test_the_best_of_many_is_not_less_legible(self, modulator, policies):
+        scene = SCENES[2].scene
+        jobs = [Job(scene, 1, 1.0, 0, i) for i in range(4)]
+        contest = Contest(modulator, policies, KIND, (64, 640))
+        one, many = (contest.paths(name, jobs, []) for name in OURS)
+        assert np.mean([p.score for p in many]) > np.mean([p.score for p in one])
+
+    def test_other_robots_are_refused(self, modulator, policies):
+        other = GoalPolicy(GoalPolicyConfig(limit=0.03, channels=(8, 16), condition=16))
+        with pytest.raises(InvalidInputError, match="0.03"):
+            Contest(modulator, {**policies, GUIDED[0]: other}, KIND)
+
+
+def test_compare_tests_what_it_says():
+    rng = np.random.default_rng(0)
+    cells = {"R x": {name: rng.normal(i, 0.1, 50) for i, name in enumerate(METHODS)}}
+    tests = compare(cells)
+    pairs = {(t["method"], t["against"]) for t in tests}
+    assert len(pairs) == len(tests)
+    assert {a for a, b in pairs if b == BASELINE} == set(METHODS) - {BASELINE}
+    for ours in OURS:
+        assert {b for a, b in pairs if a == ours} == set(METHODS) - set(OURS)
+    order = list(METHODS)
+    for test in tests:
+        greater = order.index(test["method"]) > order.index(test["against"])
+        assert test["effect"] == (1 if greater else -1)
+        assert test["p"] <= test["p_holm"] < 1e-3
+
+
+@pytest.fixture(scope="module")
+def table1(modulator, policies):
+    config = Table1Config(rollouts=3, seed=3, search_candidates=64)
+    return config, evaluate_table1(modulator, policies, config)
+
+
+class TestTable1:
+    def test_shape(self, table1):
+        config, result = table1
+        assert list(result["methods"]) == list(METHODS)
+        for method in result["methods"].values():
+            for own in method["targets"].values():
+                assert sum(own["reasons"].values()) == config.rollouts
+                for metric in METRICS:
+                    values = own[metric]["values"]
+                    assert len(values) == config.rollouts
+                    assert own[metric]["mean"] == pytest.approx(np.mean(values), rel=1e-4)
+        assert result["search"] == (64, 640)
+        ours = result["methods"]["modulator"]["targets"]["R"]
+        assert ours["success"]["mean"] == 1
+        assert ours["achieved"]["mean"] > 0.8
+        assert result["oracle"]["R"]["achieved"] == pytest.approx(1)
+
+    def test_repeats_itself(self, table1, modulator, policies):
+        config, result = table1
+        again = evaluate_table1(modulator, policies, config)
+        for name, method in result["methods"].items():
+            assert again["methods"][name]["targets"] == method["targets"]
+        assert again["tests"] == result["tests"]
+
+    def test_texts(self, table1):
+        config, result = table1
+        page = document(result, config)
+        section = table1_section(page)
+        for method in METHODS.values():
+            assert method.text in section
+        assert "1.96 (0.97)" in section  # the paper's own
+        latex = table1_latex(page)
+        assert latex.count(r"\\") == len(METHODS) + 2
+        assert all(
+            line.count("&") == 9 for line in latex.splitlines() if line.startswith(("Leg", "Diff"))
+        )
+        rows = table1_csv(page).splitlines()
+        assert len(rows) == 1 + len(METHODS) * 2 * len(METRICS)
+        assert any(r.startswith("BlockReach2D,diffusion policy,R,distance_score") for r in rows)
+
+    def test_the_papers_rows(self):
+        assert paper_rows(2)["Legibility Modulator"]["L_d_R"] == 1.96
+        assert paper_rows(3)["Dataset Oracle"]["success_rate"] is None
+        with pytest.raises(InvalidInputError, match="dim"):
+            paper_rows(4)
+
+    @pytest.mark.parametrize(
+        "wrong", [{"rollouts": 1}, {"seed": -1}, {"search_candidates": -1}], ids=str
+    )
+    def test_refuses(self, wrong):
+        with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+            Table1Config(**wrong)
+
+
+def test_unseen(modulator, policies):
+    config = UnseenConfig(scenes=3, rollouts=1, levels=3, seed=5, search_candidates=64)
+    result = evaluate_unseen(modulator, policies, config)
+    for name, method in result["methods"].items():
+        assert ("error" in method) == METHODS[name].dial
+        for metric in ("distance_score", "potential_cost"):
+            assert len(method["ratio"][metric]["values"]) == 3
+    oracle = result["methods"]["oracle"]
+    assert oracle["error"]["mean"] < 0.1
+    assert 0.9 < oracle["ratio"]["distance_score"]["median"] < 1.1
+    section = unseen_section(document(result, config))
+    for method in METHODS.values():
+        assert method.text in section
+    for wrong in ({"scenes": 1}, {"rollouts": 0}, {"levels": 2}):
+        with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+            UnseenConfig(**wrong)
+
+
+def test_spectrum(modulator, tmp_path):
+    config = SpectrumConfig(levels=5, rollouts=4, seed=1)
+    result = evaluate_spectrum(modulator, config)
+    for letter in TARGETS:
+        own = result["targets"][letter]
+        assert own["costs"].shape == (5, 4)
+        assert own["success"] == 1
+        assert own["rising"] == 0
+        assert (np.diff(own["achieved"]) > 0).all()
+        read = Spectrum.of_result(written(result), letter)
+        np.testing.assert_allclose(read.costs, own["costs"])
+        assert len(read.motions) == 5
+    section = spectrum_section(document(result, config))
+    assert "falls at every level" in section
