@@ -158,7 +158,7 @@ class TestContest:
 
     def test_other_robots_are_refused(self, modulator, policies):
         other = GoalPolicy(GoalPolicyConfig(limit=0.03, channels=(8, 16), condition=16))
-        with pytest.raises(InvalidInputError, match="0.03"):
+        with pytest.raises(InvalidInputError, match=r"0\.03"):
             Contest(modulator, {**policies, GUIDED[0]: other}, KIND)
 
 
@@ -199,7 +199,7 @@ class TestTable1:
         ours = result["methods"]["modulator"]["targets"]["R"]
         assert ours["success"]["mean"] == 1
         assert ours["achieved"]["mean"] > 0.8
-        assert result["oracle"]["R"]["achieved"] == pytest.approx(1)
+        assert result["oracle"]["R"]["achieved"] == pytest.approx(1, abs=1e-3)
 
     def test_repeats_itself(self, table1, modulator, policies):
         config, result = table1

@@ -54,6 +54,9 @@ BASELINE = "diffusion policy"
 """The method that knows nothing of legibility; bold is what differs from it (paper, Table I)."""
 
 
+_REPEATS = 25
+
+
 class Method(NamedTuple):
     """A way to get to the goal: by a path that stage 2 follows, or by a policy of its own."""
 
@@ -165,24 +168,36 @@ class Contest:
             "sigma": config.sigma, "alpha": config.alpha, "label": config.label
         }  # fmt: skip
 
-    def calibrate(self, scene: Scene, target: int) -> dict[str, dict[str, float]]:
+    def calibrate(self, scene: Scene, target: int) -> tuple[int, int]:
+        """Set how many curves the searches draw, if that is not given, and return it.
+
+        As many as they can in the time of a plan by the modulator with ℓ = 1 in `scene`, and in ten
+        times that, on one core.
+        """
+        if self.sizes is None:
+            with _one_thread():
+                job, times = [Job(scene, target, 1.0, 0, 0)], []
+                for _ in range(_REPEATS):
+                    started = time.perf_counter()
+                    self.paths("modulator", job, [])
+                    times.append(1e3 * (time.perf_counter() - started))
+                plan = float(np.median(times))
+                self.sizes = (
+                    candidates_within(plan, scene, target, **self.observer),
+                    candidates_within(10 * plan, scene, target, **self.observer),
+                )
+        return self.sizes
+
+    def times(self, scene: Scene, target: int) -> dict[str, dict[str, float]]:
         """Times [ms] on one core, by method: `plan`, before it can move, and `motion`, all in all.
 
-        Of one motion with ℓ = 1 in `scene`, the medians of several; the simulation does not count.
-        It also sets how many curves the searches draw, if that is not given: what they can in the
-        time of a plan by the modulator, and in ten times that.
+        Of one motion with ℓ = 1 in `scene`, the medians of several; the simulation does not count,
+        and the oracle's archive is given.
         """
+        found = {}
         with _one_thread():
-            if self.sizes is None:
-                plan = np.median([self._timed("modulator", scene, target, i)[0] for i in range(25)])
-                one, ten = (
-                    candidates_within(budget, scene, target, **self.observer)
-                    for budget in (float(plan), 10 * float(plan))
-                )
-                self.sizes = one, ten
-            found = {}
             for name in METHODS:
-                if name != "oracle":  # its archive is given
+                if name != "oracle":
                     times = [self._timed(name, scene, target, seed) for seed in range(6)][1:]
                     plan, motion = np.median(times, axis=0)
                     found[name] = {"plan": float(plan), "motion": float(motion)}

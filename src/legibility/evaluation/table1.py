@@ -96,7 +96,8 @@ def evaluate_table1(
     place = SCENES[kind.dim]
     size = config.search_candidates
     contest = Contest(modulator, policies, kind, (size, 10 * size) if size else None)
-    times = contest.calibrate(place.scene, TARGETS["R"])
+    contest.calibrate(place.scene, TARGETS["R"])
+    times = contest.times(place.scene, TARGETS["R"])
     total = len(METHODS) * len(TARGETS) * config.rollouts
     done = 0
     methods: dict[str, Any] = {
