@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 LEGIBILITY := $(BIN)/python -m legibility
 STAMP := $(VENV)/.installed
 
-# What `make weights` and `make evaluate` use; each can be set on the command line. Evaluations are
+# What `make weights` and `make results` use; each can be set on the command line. Results are
 # reported on seed 1: scenes of seed 0 were looked at while the sampler was made.
 MODELS ?= block-reach-2d panda-block-reach
 SCENES ?= 12800
@@ -23,23 +23,19 @@ EVALUATION_SEED ?= 1
 RESULTS ?= results
 PYTEST_ARGS ?=
 
-# Of each model: its dimension and what is evaluated.
+# Of each model: its dimension, and its robot in the names of the baselines.
 DIM_block-reach-2d := 2
 DIM_panda-block-reach := 3
-GOALS_block-reach-2d := 2..6
-GOALS_panda-block-reach := 2..4
-CLOSED_LOOP_block-reach-2d := --scenes 200
-CLOSED_LOOP_panda-block-reach := --scenes 100 --levels 11 --samples 2
-EXECUTION_block-reach-2d := --scenes 200 --rollouts 5000
-EXECUTION_panda-block-reach := --scenes 50 --rollouts 500
+ROBOT_block-reach-2d := 2d
+ROBOT_panda-block-reach := panda
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # pyright: do not ask the network for a newer version.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv install demo test lint format weights evaluate clean distclean \
-	$(MODELS:%=weights-%) $(MODELS:%=evaluate-%) $(MODELS:%=more-%)
+.PHONY: help venv install demo test lint format weights data results clean distclean \
+	$(MODELS:%=weights-%) $(MODELS:%=data-%)
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -75,45 +71,74 @@ format: $(STAMP) ## let ruff repair what it can
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-weights: $(MODELS:%=weights-%) ## make the shipped weights from nothing, then measure them
-	$(MAKE) evaluate
+weights: $(MODELS:%=weights-%) ## make all shipped weights from nothing, then measure them
+	$(MAKE) results
 
-$(MODELS:%=weights-%): weights-%: $(STAMP)
+data: $(MODELS:%=data-%)
+
+$(MODELS:%=data-%): data-%: $(STAMP)
 	$(LEGIBILITY) data --dim $(DIM_$*) --scenes $(SCENES) --seed $(SEED) --workers $(WORKERS) \
 		--demonstrations $(DEMONSTRATIONS) --demonstrated $(DEMONSTRATED) --out $(RUNS)/$*/data
+
+$(MODELS:%=weights-%): weights-%: data-%
 	$(LEGIBILITY) train path --data $(RUNS)/$*/data --out $(RUNS)/$*/path --steps $(STEPS) \
 		--seed $(SEED) --workers $(WORKERS) --weights src/legibility/weights/$*
 	$(LEGIBILITY) train policy --data $(RUNS)/$*/data --out $(RUNS)/$*/policy \
 		--steps $(POLICY_STEPS) --seed $(SEED) --validation $(RUNS)/$*/path/validation \
 		--weights src/legibility/weights/$*
+	for baseline in diffusion-policy legibility-diffuser; do \
+		$(LEGIBILITY) train $$baseline --data $(RUNS)/$*/data --out $(RUNS)/$*/$$baseline \
+			--steps $(POLICY_STEPS) --seed $(SEED) --validation $(RUNS)/$*/path/validation \
+			--weights src/legibility/weights/$$baseline-$(ROBOT_$*) || exit 1; \
+	done
 
-evaluate: $(MODELS:%=evaluate-%) ## measure the shipped weights on scenes never seen; tables, pictures
+# Everything behind the README's tables and figures. What is done is noted in $(RUNS)/results, so an
+# interrupted run goes on; new weights, or `rm -r $(RUNS)/results`, have it measured anew.
+ON = --seed $(EVALUATION_SEED) --json $(RESULTS)/$*.json
+ARM := --model panda-block-reach --goals 2..4
+PLANE := --model block-reach-2d --goals 2..6
+dial-block-reach-2d = evaluate dial $(PLANE) --scenes 200 $(ON)
+closed-loop-block-reach-2d = evaluate dial $(PLANE) --scenes 200 --closed-loop $(ON)
+execution-block-reach-2d = evaluate execution $(PLANE) --scenes 200 --rollouts 5000 $(ON)
+dial-panda-block-reach = evaluate dial $(ARM) --scenes 200 $(ON)
+closed-loop-panda-block-reach = evaluate dial $(ARM) --scenes 100 --levels 11 --samples 2 \
+	--closed-loop $(ON)
+execution-panda-block-reach = evaluate execution $(ARM) --scenes 50 --rollouts 500 $(ON)
+# The second simulator is one that the arm was not trained in; it needs Python 3.11.
+transfer-panda-block-reach = evaluate execution $(ARM) --scenes 50 --rollouts 500 --env pandagym \
+	$(ON)
+paper-scene = plan examples/paper.yaml --target 0 --legibility -1:1:9 \
+	--figure $(RESULTS)/paper-scene.png --json $(RESULTS)/paper-scene.json
+paper-scene-executed = execute examples/paper.yaml --target 0 --legibility -1:1:5 \
+	--figure $(RESULTS)/execution.png --video $(RESULTS)/execution.gif \
+	--json $(RESULTS)/paper-scene-executed.json
+panda-scene = execute examples/panda.yaml --target 0 --legibility -1:1:5 \
+	--spectrum $(RESULTS)/panda-scene.png --video $(RESULTS)/panda-scene.gif \
+	--json $(RESULTS)/panda-scene.json
+table1-2d = evaluate table1 --env 2d --rollouts 1000 $(ON)
+table1-panda = evaluate table1 --env panda --rollouts 1000 $(ON)
+table1-pandagym = evaluate table1 --env pandagym --rollouts 100 $(ON)
+unseen-2d = evaluate unseen --env 2d --scenes 100 $(ON)
+unseen-panda = evaluate unseen --env panda --scenes 100 $(ON)
+spectrum-2d = evaluate spectrum --env 2d $(ON)
+spectrum-panda = evaluate spectrum --env panda $(ON)
+ablations-block-reach-2d = evaluate ablations --model block-reach-2d --goals 2..6 \
+	--data $(RUNS)/block-reach-2d/data --out $(RUNS)/block-reach-2d/ablations \
+	--training-steps 2000 --scene-numbers 400 12800 --workers $(WORKERS) $(ON)
+MEASURED := $(foreach model,$(MODELS),dial-$(model) closed-loop-$(model) execution-$(model)) \
+	transfer-panda-block-reach paper-scene paper-scene-executed panda-scene \
+	table1-2d table1-panda table1-pandagym unseen-2d unseen-panda spectrum-2d spectrum-panda \
+	ablations-block-reach-2d
+
+results: $(MEASURED:%=$(RUNS)/results/%) ## measure all that the README shows; tables, pictures
 	$(LEGIBILITY) report $(RESULTS) --readme README.md --weights src/legibility/weights
 
-$(MODELS:%=evaluate-%): evaluate-%: $(STAMP)
-	$(LEGIBILITY) evaluate dial --model $* --scenes 200 --goals $(GOALS_$*) \
-		--seed $(EVALUATION_SEED) --json $(RESULTS)/dial-$*.json
-	$(LEGIBILITY) evaluate dial --model $* $(CLOSED_LOOP_$*) --goals $(GOALS_$*) \
-		--seed $(EVALUATION_SEED) --closed-loop --json $(RESULTS)/closed-loop-$*.json
-	$(LEGIBILITY) evaluate execution --model $* $(EXECUTION_$*) --goals $(GOALS_$*) \
-		--seed $(EVALUATION_SEED) --json $(RESULTS)/execution-$*.json
-	$(MAKE) more-$*
+$(RUNS)/results/ablations-block-reach-2d: | data-block-reach-2d
 
-more-block-reach-2d: $(STAMP)
-	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 \
-		--figure $(RESULTS)/paper-scene.png --json $(RESULTS)/paper-scene.json
-	$(LEGIBILITY) execute examples/paper.yaml --target 0 --legibility -1:1:5 \
-		--figure $(RESULTS)/execution.png --video $(RESULTS)/execution.gif \
-		--json $(RESULTS)/paper-scene-executed.json
-
-# The second simulator is one that the arm was not trained in; it needs Python 3.11.
-more-panda-block-reach: $(STAMP)
-	$(LEGIBILITY) evaluate execution --model panda-block-reach $(EXECUTION_panda-block-reach) \
-		--goals $(GOALS_panda-block-reach) --seed $(EVALUATION_SEED) --env pandagym \
-		--json $(RESULTS)/transfer-panda-block-reach.json
-	$(LEGIBILITY) execute examples/panda.yaml --target 0 --legibility -1:1:5 \
-		--spectrum $(RESULTS)/panda-scene.png --video $(RESULTS)/panda-scene.gif \
-		--json $(RESULTS)/panda-scene.json
+$(MEASURED:%=$(RUNS)/results/%): $(RUNS)/results/%: $(STAMP) \
+		$(wildcard src/legibility/weights/*/*.safetensors)
+	$(LEGIBILITY) $($*)
+	@mkdir -p $(@D) && touch $@
 
 clean: ## remove caches and build products
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis

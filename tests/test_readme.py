@@ -12,7 +12,15 @@ from pathlib import Path
 import pytest
 
 from legibility.cli import main
-from legibility.evaluation.card import dial_section, execution_section, render_card
+from legibility.evaluation.card import (
+    ablations_section,
+    dial_section,
+    execution_section,
+    render_baseline_card,
+    render_card,
+)
+from legibility.evaluation.comparison import METHODS
+from legibility.evaluation.tables import spectrum_section, table1_section, unseen_section
 from legibility.models.pretrained import pretrained_folder, pretrained_names
 from legibility.modulator import Modulator
 
@@ -70,9 +78,10 @@ def test_every_result_is_of_shipped_weights():
     files = sorted((ROOT / "results").glob("*.json"))
     assert files
     for file in files:
-        model = json.loads(file.read_text())["model"]
-        weights = pretrained_folder(model["name"])
-        assert model == {"name": model["name"], **hashes_of(weights)}, file.name
+        content = json.loads(file.read_text())
+        for model in [content["model"], *content.get("baselines", [])]:
+            weights = pretrained_folder(model["name"])
+            assert model == {"name": model["name"], **hashes_of(weights)}, file.name
 
 
 def hashes_of(weights):
@@ -103,11 +112,46 @@ def test_tables_and_card_are_what_was_measured_with_these_weights(name):
     assert (weights / "README.md").read_text() == render_card(name, config, documents)
 
 
+COMPARED = {
+    "table1": table1_section, "unseen": unseen_section, "spectrum": spectrum_section,
+    "ablations": ablations_section,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "file",
+    [f for kind in COMPARED for f in sorted((ROOT / "results").glob(f"{kind}-*.json"))],
+    ids=lambda file: file.stem,
+)
+def test_comparisons_are_what_was_measured(file):
+    section = COMPARED[file.stem.partition("-")[0]](json.loads(file.read_text()))
+    assert section in README
+    assert file.with_suffix(".md").read_text() == section + "\n"
+
+
+@pytest.mark.parametrize("name", pretrained_names("goal"))
+def test_card_of_a_baseline(name):
+    documents = {}
+    for file in sorted((ROOT / "results").glob("*.json")):
+        content = json.loads(file.read_text())
+        if any(b["name"] == name for b in content.get("baselines", [])):
+            documents[file.stem] = content
+    assert any(stem.startswith("table1") for stem in documents)
+    method = next(m for m in METHODS if name.startswith(m.replace(" ", "-")))
+    folder = pretrained_folder(name)
+    config = json.loads((folder / "config.json").read_text())
+    card = (folder / "README.md").read_text()
+    assert card == render_baseline_card(name, method, config, documents)
+
+
+@pytest.mark.parametrize("name", [*pretrained_names(), *pretrained_names("goal")])
+def test_weights_are_small(name):
+    for file in pretrained_folder(name).glob("*.safetensors"):
+        assert file.stat().st_size < 6_000_000
+
+
 @pytest.mark.parametrize("name", pretrained_names())
 def test_shipped_weights(name):
-    folder = pretrained_folder(name)
-    for file in folder.glob("*.safetensors"):
-        assert file.stat().st_size < 6_000_000
     model = Modulator.from_pretrained(name)
     assert model.name == name
     assert model.path_policy is not None

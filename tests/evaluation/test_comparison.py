@@ -16,6 +16,7 @@ from legibility.evaluation.comparison import (
     METHODS,
     METRICS,
     OURS,
+    TESTED,
     Contest,
     Job,
     compare,
@@ -191,7 +192,7 @@ class TestTable1:
         for method in result["methods"].values():
             for own in method["targets"].values():
                 assert sum(own["reasons"].values()) == config.rollouts
-                for metric in METRICS:
+                for metric in TESTED:
                     values = own[metric]["values"]
                     assert len(values) == config.rollouts
                     assert own[metric]["mean"] == pytest.approx(np.mean(values), rel=1e-4)

@@ -161,16 +161,15 @@ def _torch() -> dict[str, Any]:
 def _weights() -> dict[str, dict[str, Any]]:
     """By name, the sizes of the files [byte] and why they cannot be loaded."""
     with _caught() as caught:
-        from ..models.pretrained import pretrained_folder, pretrained_names
-        from ..modulator import Modulator
+        from ..models.pretrained import load_stages, pretrained_folder, pretrained_names
 
-        names = pretrained_names()
+        names = [*pretrained_names(), *pretrained_names("goal")]
     if caught:
         return {_MINIMUM[1]: {"files": {}, "error": caught[0]}}
     found: dict[str, dict[str, Any]] = {}
     for name in names:
         with _caught() as caught:
-            Modulator.from_pretrained(name)
+            load_stages(pretrained_folder(name))
         sizes = {f.name: f.stat().st_size for f in pretrained_folder(name).glob("*.safetensors")}
         found[name] = {"files": dict(sorted(sizes.items())), "error": next(iter(caught), None)}
     return found

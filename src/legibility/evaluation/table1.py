@@ -87,7 +87,8 @@ def evaluate_table1(
 
     Returns:
         `methods`: of each its time per plan and, toward either target, success with interval, the
-        reasons of the ends, each of `METRICS` with mean, interval and all values; `oracle`: the
+        reasons of the ends, each of `METRICS` with mean and interval, and all values of those that
+        are tested; `oracle`: the
         same figures of the archive's most legible trajectory itself, not executed; `tests`: see
         `compare`; `search`: curves that the two searches drew.
     """
@@ -135,7 +136,11 @@ def evaluate_table1(
                     metric: {
                         "mean": float(found.mean()),
                         "interval": bootstrap_interval(found),
-                        "values": [float(f"{x:.6g}") for x in found],
+                        **(
+                            {"values": [float(f"{x:.6g}") for x in found]}
+                            if metric in TESTED
+                            else {}
+                        ),
                     }
                     for metric, found in values.items()
                 },

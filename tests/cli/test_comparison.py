@@ -1,0 +1,122 @@
+"""The baselines are trained, compared and reported by the commands that the README names."""
+
+import json
+
+import pytest
+
+from legibility.evaluation.comparison import METHODS
+from legibility.models.pretrained import load_stages
+
+
+@pytest.fixture(scope="module")
+def baselines(dataset, cli, tmp_path_factory, one_thread):
+    """Folders of tiny weights by the name of the verb that trains them."""
+    folder = tmp_path_factory.mktemp("baselines")
+    shown = folder / "shown"
+    words = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --demonstrations 2 --out"
+    assert cli(words, shown) == 0
+    small = (
+        "--steps 20 --batch 16 --warmup 1 --validate-every 20 --checkpoint-every 20"
+        " --channels 8 16 --condition 16 --sampling-steps 2"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        tried = {"guidance": (0.0, 5.0), "guidance_decay": (0.5,), "guidance_share": (0.9, 1.0)}
+        patch.setattr("legibility.training.goal.GUIDANCE", tried)
+        found = {}
+        for verb in ("diffusion-policy", "legibility-diffuser"):
+            found[verb] = folder / f"{verb}-tiny"
+            paths = ["--data", shown, "--validation", dataset, "--out", folder / "runs" / verb]
+            report = ["--weights", found[verb], "--json", folder / f"{verb}.json"]
+            assert cli(f"train {verb} {small}", *paths, *report) == 0
+    return found
+
+
+def test_weights(baselines):
+    plain, guided = (load_stages(folder) for folder in baselines.values())
+    assert plain[0]["goal"].config.guidance == 0
+    assert plain[1]["goal"]["training"]["dropout"] == 0
+    assert "tuning" not in plain[1]["goal"]
+    assert guided[1]["goal"]["training"]["dropout"] == 0.2
+    tuning = guided[1]["goal"]["tuning"]
+    assert len(tuning) == 4
+    assert {row["guidance"] for row in tuning} == {0.0, 5.0}
+    config = guided[0]["goal"].config
+    best = max(row["success"] for row in tuning)
+    chosen = [
+        row for row in tuning
+        if (row["guidance"], row["guidance_share"]) == (config.guidance, config.guidance_share)
+    ]  # fmt: skip
+    assert chosen[0]["success"] >= min(0.99, best)
+    report = json.loads(
+        (baselines["diffusion-policy"].parent / "diffusion-policy.json").read_text()
+    )
+    assert report["result"]["last"]["step"] == 20
+    assert set(report["model"]) == {"name", "goal"}
+
+
+@pytest.fixture(scope="module")
+def measured(baselines, cli, tmp_path_factory, one_thread):
+    """Results of the comparisons, and a page to be filled."""
+    folder = tmp_path_factory.mktemp("compared")
+    models = [x for name, path in baselines.items() for x in (f"--{name}", path)]
+    common = "--env 2d --seed 1 --search-candidates 64"
+    for words in (
+        f"table1 {common} --rollouts 2",
+        f"unseen {common} --scenes 2 --rollouts 1 --levels 3",
+    ):
+        file = folder / "results" / f"{words.split()[0]}-2d.json"
+        assert cli(f"evaluate {words} --json", file, *models) == 0
+    file = folder / "results" / "spectrum-2d.json"
+    words = "evaluate spectrum --levels 3 --rollouts 2 --json"
+    assert cli(words, file, "--figure", folder / "spectrum.svg") == 0
+    return folder
+
+
+def test_what_is_written(measured, baselines):
+    assert "<svg" in (measured / "spectrum.svg").read_text()
+    for kind in ("table1", "unseen"):
+        content = json.loads((measured / "results" / f"{kind}-2d.json").read_text())
+        assert content["model"]["name"] == "block-reach-2d"
+        assert [b["name"] for b in content["baselines"]] == [str(p) for p in baselines.values()]
+        assert set(content["result"]["methods"]) == set(METHODS)
+        assert content["config"]["search_candidates"] == 64
+
+
+def test_report(measured, cli, capsys):
+    page = measured / "page.md"
+    kinds = ("table1", "unseen", "spectrum")
+    page.write_text("".join(f"<!-- {k}-2d -->\n<!-- /{k}-2d -->\n" for k in kinds))
+    assert cli("report", measured / "results", "--readme", page) == 0
+    text = page.read_text()
+    for kind in kinds:
+        section = (measured / "results" / f"{kind}-2d.md").read_text().strip()
+        assert section in text
+        assert f"Measured by `legibility evaluate {kind} " in section
+    assert (measured / "results" / "table1-2d.csv").read_text().startswith("environment,method,")
+    assert r"\toprule" in (measured / "results" / "table1-2d.tex").read_text()
+    assert (measured / "results" / "spectrum-2d.png").read_bytes().startswith(b"\x89PNG")
+    assert (measured / "results" / "spectrum-2d.pdf").read_bytes().startswith(b"%PDF")
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("table1 --env 4d", "env must be one of"),
+        ("table1 --rollouts 1", "rollouts must be"),
+        ("table1 --diffusion-policy none", "there are no weights 'none'"),
+        ("table1 --diffusion-policy block-reach-2d", "has no goal-conditioned policy"),
+        ("table1 --model panda-block-reach", "what is asked 3-D"),
+        ("unseen --scenes 1", "scenes must be"),
+        ("unseen --goals 1..2", "goals must be"),
+        ("spectrum --levels 2", "levels must be"),
+        ("spectrum --model none", "there are no weights 'none'"),
+        ("spectrum --figure f.bmp", "must end in"),
+    ],
+)
+def test_refuses(words, message, refused, baselines):
+    models = [
+        x for name, path in baselines.items() for x in (f"--{name}", path)
+        if not words.startswith("spectrum") and f"--{name}" not in words
+    ]  # fmt: skip
+    assert message in refused(f"evaluate {words}", *models)
