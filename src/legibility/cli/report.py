@@ -147,11 +147,13 @@ def _baseline_cards(weights: Path, found: dict[str, dict[str, dict[str, Any]]]) 
     cards = {}
     for name, own in documents.items():
         folder = weights / name
-        if folder.is_dir():
+        if Path(name).name == name and folder.is_dir():
             method = next((m for m in METHODS if name.startswith(m.replace(" ", "-"))), "")
             config = _read(folder / "config.json")
             try:
-                cards[folder / "README.md"] = render_baseline_card(name, method, config, own)
+                cards[folder / "README.md"] = render_baseline_card(
+                    name, method, config, dict(sorted(own.items()))
+                )
             except InvalidInputError:
                 raise
             except (LookupError, TypeError, ValueError, AttributeError) as cause:
