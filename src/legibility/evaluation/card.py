@@ -354,15 +354,15 @@ def _tuned(shape: dict[str, Any], tuning: list[dict[str, float]]) -> str:
     """Which guidance was chosen, of which, by which rule."""
     chosen = {name: shape[name] for name in ("guidance", "guidance_decay", "guidance_share")}
     own = next(row for row in tuning if chosen.items() <= row.items())
-    most = max(tuning, key=lambda row: row["gain"])
+    most = max(tuning, key=lambda row: row["achieved"])
     return filled(f"""\
 ε̂ = (1 + w) ε(g*) − a w ε(g⁻) − (1 − a) w ε(∅), w ← γ w after every executed chunk (Bronars, Cheng
 and Xu 2024), with the mean over several g⁻. Of {len(tuning)} combinations tried on the validation
 scenes, all recorded in `config.json`, the most legible one that reaches the goal in 99 % of them
 was taken: w = {own["guidance"]:g}, γ = {own["guidance_decay"]:g}, a = {own["guidance_share"]:g},
-which reached it in {own["success"]:.1%} and changed the mean logarithm of the cost by
-{-own["gain"]:+.3f} against the straight line's. The most legible of all (w = {most["guidance"]:g},
-γ = {most["guidance_decay"]:g}, a = {most["guidance_share"]:g}; {-most["gain"]:+.3f}) reached it in
+which reached it in {own["success"]:.1%} with a mean achieved ℓ of {own["achieved"]:.3f}. The most
+legible of all (w = {most["guidance"]:g}, γ = {most["guidance_decay"]:g}, a =
+{most["guidance_share"]:g}) has {most["achieved"]:.3f} and reached it in
 {most["success"]:.1%}.""")
 
 

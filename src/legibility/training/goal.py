@@ -14,11 +14,10 @@ import torch
 from ..baselines.guided import GuidedPolicy
 from ..baselines.planners import straight_path
 from ..checks import Array
-from ..dataset import Dataset
+from ..dataset import LABEL_KNOTS, Dataset
 from ..demonstrations import Demonstrations
 from ..envs import vector_type
 from ..execution import Fleet, Rollout, follow
-from ..intent.metrics import legibility_score
 from ..models.goal_policy import GoalPolicy, GoalPolicyConfig, goal_features
 from .loop import Progress
 from .policy import PolicyTrainingConfig, fit, moments
@@ -33,7 +32,6 @@ GUIDANCE = {
 """The settings that are tried: those of the Legibility Diffuser's authors and their neighbours."""
 
 _SUCCESS = 0.99
-_LEAST_COST = 1e-9
 
 
 def train_goal(
@@ -122,31 +120,26 @@ def tune_guidance(
 ) -> tuple[dict[str, float], list[dict[str, float]]]:
     """The best of all combinations of `GUIDANCE` on the scenes of `validation`.
 
-    The most legible one that reaches the goal in 99 % of them, or as often as any does: the one
-    with the highest mean over scenes of the logarithm of the straight line's cost over the
-    motion's, both as the negative `legibility_score`.
+    The most legible one, by the mean achieved ℓ, of those that reach the goal in 99 % of the
+    scenes, or as often as any does.
 
     Returns:
-        The chosen settings, and of every combination what was measured.
+        The chosen settings, and of every combination its `success` and mean `achieved` ℓ.
     """
     rows = []
     combinations = [dict(zip(GUIDANCE, v, strict=True)) for v in product(*GUIDANCE.values())]
     plain = model.config
-    straight = [
-        -legibility_score(p.waypoints, p.field, p.target, p.alpha)
-        for p in (r.path for r in rollouts_of(model, validation))
-    ]
     for done, settings in enumerate(combinations):
         model.config = replace(plain, **settings)
         rollouts = rollouts_of(model, validation)
-        gains = [
-            np.log((cost + _LEAST_COST) / (_LEAST_COST - r.score))
-            for cost, r in zip(straight, rollouts, strict=True)
+        achieved = [
+            np.interp(rollout.score, knots, LABEL_KNOTS)
+            for rollout, knots in zip(rollouts, validation.score_at_label, strict=True)
         ]
         success = float(np.mean([r.success for r in rollouts]))
-        rows.append({**settings, "success": success, "gain": float(np.mean(gains))})
+        rows.append({**settings, "success": success, "achieved": float(np.mean(achieved))})
         progress(done + 1, len(combinations))
     model.config = plain
     enough = min(_SUCCESS, max(row["success"] for row in rows))
-    best = max((row for row in rows if row["success"] >= enough), key=lambda row: row["gain"])
+    best = max((row for row in rows if row["success"] >= enough), key=lambda r: r["achieved"])
     return {name: best[name] for name in GUIDANCE}, rows
