@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from ..checks import bounded, count, positive
 from ..curves import NUM_WAYPOINTS
@@ -23,6 +24,7 @@ from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fouri
 __all__ = ["Conditions", "PathDiffuser", "PathDiffuserConfig"]
 
 _NO_ODDS = -1e4
+_AT_ONCE = 64  # paths: what their layers hold fits into a core's cache
 _LEVEL_FREQUENCIES = 12
 _TIME_FREQUENCIES = 16
 
@@ -149,7 +151,7 @@ class Conditions:
         odds = points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
         against = torch.logsumexp(odds, dim=-1, keepdim=True)
         shares = torch.exp(odds - against) * torch.sigmoid(against)
-        return nn.functional.softplus(against[..., 0]), shares @ self.slopes
+        return F.softplus(against[..., 0]), shares @ self.slopes
 
     def distractors(self) -> tuple[Tensor, Tensor]:
         """Features `(B, M, 2D + 1)` of each distractor, and whether there is one, `(B, M)`.
@@ -200,6 +202,10 @@ class PathDiffuser(nn.Module):
         self.register_buffer("spread", torch.ones(NUM_WAYPOINTS, config.dim))
         self.signal: Tensor  # ᾱ at each diffusion step, set by training
         self.register_buffer("signal", torch.ones(config.diffusion_steps))
+        self.straight: Tensor  # the waypoints of the straight line
+        straight = torch.zeros(NUM_WAYPOINTS, config.dim)
+        straight[:, 0] = torch.arange(1, NUM_WAYPOINTS + 1) / (NUM_WAYPOINTS + 1)
+        self.register_buffer("straight", straight, persistent=False)
 
     def conditions(self, scenes: list[Scene], targets: list[int]) -> Conditions:
         """What the network sees of `scenes`, goal `targets[i]` meant in the i-th."""
@@ -239,34 +245,38 @@ class PathDiffuser(nn.Module):
             conditions: of the `B` scenes.
             keep: `(B,)`, where it is false the field is dropped.
         """
-        time = timestep.to(noisy.dtype) / self.config.diffusion_steps * 2 - 1
-        condition = context + self.time(fourier(time, _TIME_FREQUENCIES))
-        with torch.no_grad():
-            points = self.from_latent(noisy)
-            potential, gradient = conditions.potential(points)
-            reading = torch.cat([
-                torch.log1p(potential)[..., None] - 1,
-                torch.asinh(gradient) / 2,
-                torch.tanh(2 * conditions.wall_distance(points))[..., None],
-            ], dim=-1)  # fmt: skip
-            if keep is not None:
-                reading = reading * keep[:, None, None]
-        return self.unet(torch.cat([noisy, reading], dim=-1), nn.functional.silu(condition))
+        reading = self._read(noisy, conditions)
+        if keep is not None:
+            reading = reading * keep[:, None, None]
+        condition = self._condition(context, timestep)
+        return self.unet(torch.cat([noisy, reading], dim=-1), condition)
+
+    def _condition(self, context: Tensor, timestep: Tensor) -> Tensor:
+        """`(..., E)` of contexts `(..., E)` and timesteps `(...)`, each as far as it broadcasts."""
+        time = timestep.to(context.dtype) / self.config.diffusion_steps * 2 - 1
+        features = self.time(fourier(time.flatten(), _TIME_FREQUENCIES))
+        return F.silu(context + features.unflatten(0, timestep.shape))
+
+    @torch.no_grad()
+    def _read(self, noisy: Tensor, conditions: Conditions) -> Tensor:
+        """`(B, K, D + 2)` of the field and the walls at the points of `noisy (B, K, D)`."""
+        points = self.from_latent(noisy)
+        potential, gradient = conditions.potential(points)
+        return torch.cat([
+            torch.log1p(potential)[..., None] - 1,
+            torch.asinh(gradient) / 2,
+            torch.tanh(2 * conditions.wall_distance(points))[..., None],
+        ], dim=-1)  # fmt: skip
 
     def to_latent(self, waypoints: Tensor) -> Tensor:
         """Waypoints `(..., K, D)` in the start–target frame to what is denoised."""
-        deviation = waypoints - self._straight(waypoints)
+        deviation = waypoints - self.straight
         return torch.asinh(deviation / self.config.squash) / self.spread
 
     def from_latent(self, latent: Tensor) -> Tensor:
         """The inverse of `to_latent`."""
         deviation = torch.sinh((latent * self.spread).clamp(-6, 6)) * self.config.squash
-        return deviation + self._straight(latent)
-
-    def _straight(self, like: Tensor) -> Tensor:
-        points = torch.zeros(NUM_WAYPOINTS, self.config.dim, dtype=like.dtype, device=like.device)
-        points[:, 0] = torch.arange(1, NUM_WAYPOINTS + 1) / (NUM_WAYPOINTS + 1)
-        return points
+        return deviation + self.straight
 
     @torch.no_grad()
     def sample(
@@ -290,24 +300,49 @@ class PathDiffuser(nn.Module):
             steps: of the sampler; the configuration's if not given.
         """
         guidance = self.config.guidance if guidance is None else guidance
-        context = self.encode(self.encode_scene(conditions), level)
-        seen, keep = conditions.without_image(), None
-        if guidance:  # with and without conditions in one batch
-            none = torch.zeros_like(level, dtype=torch.bool)
-            # What `encode_scene` gives where the field is dropped, without drawing on the image.
-            scene = self.scene(self.no_field + self.place(conditions.vector))
-            context = torch.cat([context, self.encode(scene, level, none)])
-            keep = torch.cat([~none, none])
-            if len(seen.vector) > 1:
-                seen = seen.map(lambda x: torch.cat([x, x]))
+        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
+        context = self._contexts(conditions, level, guided=bool(guidance))
         weight = guidance * level[:, None, None] ** 4
+        seen, parts = conditions.without_image(), []
+        for first in range(0, len(level), _AT_ONCE):
+            rows = slice(first, first + _AT_ONCE)
+            part = seen if len(seen.vector) == 1 else seen.map(lambda x, rows=rows: x[rows])
+            parts.append(self._denoise(part, context[:, rows], noise[rows], weight[rows], times))
+        return torch.cat(parts)
 
-        def velocity(latent: Tensor, timestep: Tensor) -> Tensor:
-            if keep is None:
-                return self(latent, timestep, context, seen)
-            found = self(latent.repeat(2, 1, 1), timestep.repeat(2), context, seen, keep)
-            guided, free = found.chunk(2)
+    def _contexts(self, conditions: Conditions, level: Tensor, guided: bool) -> Tensor:
+        """`(1, B, E)`, what `encode` gives; guided `(2, B, E)`, what it gives of nothing besides."""
+        size, scene = len(level), self.encode_scene(conditions).expand(len(level), -1)
+        if not guided:
+            return self.encode(scene, level)[None]
+        # What `encode_scene` gives where the field is dropped, without drawing on the image.
+        free = self.scene(self.no_field + self.place(conditions.vector))
+        keep = torch.arange(size + len(free), device=level.device) < size
+        both = self.encode(torch.cat([scene, free]), torch.cat([level, level[: len(free)]]), keep)
+        return torch.stack([both[:size], both[size:].expand(size, -1)])
+
+    def _denoise(
+        self,
+        conditions: Conditions,
+        context: Tensor,
+        noise: Tensor,
+        weight: Tensor,
+        times: Sequence[int],
+    ) -> Tensor:
+        """Waypoints `(B, K, D)` of contexts `(1 or 2, B, E)`, guided by `weight (B, 1, 1)`.
+
+        What modulates the blocks does not depend on the latent: it is computed for all steps first.
+        """
+        moments = torch.tensor(times, device=noise.device)[:, None, None]
+        modulations = self.unet.modulations(self._condition(context, moments).flatten(1, 2))
+
+        def velocity(latent: Tensor, i: int) -> Tensor:
+            reading = self._read(latent, conditions)
+            inputs = torch.cat([latent, reading], dim=-1)
+            if len(context) == 2:  # with and without conditions in one batch
+                inputs = torch.cat([inputs, F.pad(latent, (0, reading.shape[-1]))])
+            found = self.unet.modulated(inputs, [(m[0][i], m[1][i]) for m in modulations])
+            guided, free = found[: len(latent)], found[-len(latent) :]
             return guided + weight * (guided - free)
 
-        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
         return self.from_latent(ddim(velocity, noise, self.signal, times))
