@@ -114,13 +114,11 @@ class ActionDenoiser(nn.Module):
             timestep: `(B,)` int, of the noise schedule.
             context: `(B, E)` of what is observed.
         """
-        return self.unet(noisy, self._condition(context, timestep))
+        return self.unet(noisy, nn.functional.silu(context + self.moments(timestep)))
 
-    def _condition(self, context: Tensor, timestep: Tensor) -> Tensor:
-        """`(..., E)` of contexts `(..., E)` and timesteps `(...)`, each as far as it broadcasts."""
-        time = timestep.to(context.dtype) / self.steps * 2 - 1
-        features = self.time(fourier(time.flatten(), _TIME_FREQUENCIES))
-        return nn.functional.silu(context + features.unflatten(0, timestep.shape))
+    def moments(self, timestep: Tensor) -> Tensor:
+        """`(B, E)`, what timesteps `(B,)` add to a context."""
+        return self.time(fourier(timestep / self.steps * 2 - 1, _TIME_FREQUENCIES))
 
     def _denoiser(
         self, context: Tensor, times: Sequence[int]
@@ -129,8 +127,8 @@ class ActionDenoiser(nn.Module):
 
         What modulates the blocks does not depend on the actions: it is computed for all steps here.
         """
-        condition = self._condition(context, torch.tensor(times)[:, None])
-        modulations = self.unet.modulations(condition)
+        moments = self.moments(torch.tensor(times))[:, None]
+        modulations = self.unet.modulations(nn.functional.silu(context + moments))
 
         def velocity(noisy: Tensor, i: int) -> Tensor:
             return self.unet.modulated(noisy, [(m[0][i], m[1][i]) for m in modulations])

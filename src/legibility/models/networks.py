@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -182,10 +183,15 @@ class FiLMUNet(nn.Module):
         self.outlet = _Pointwise(channels[0], dim)
         nn.init.zeros_(self.outlet.weight)
 
+    def blocks(self) -> list[Any]:
+        """Its blocks in the order in which they are passed."""
+        down: Any = self.down
+        up: Any = self.up
+        return [*(pair[0] for pair in down), *self.middle, *(pair[1] for pair in up)]
+
     def modulations(self, condition: Tensor) -> list[Modulation]:
         """Of every block by a condition `(..., B, E)`: of one step, or of all steps at once."""
-        down, up = (pair[0] for pair in self.down), (pair[1] for pair in self.up)  # pyright: ignore
-        return [block.modulation(condition) for block in (*down, *self.middle, *up)]  # pyright: ignore
+        return [block.modulation(condition) for block in self.blocks()]
 
     def forward(self, x: Tensor, condition: Tensor) -> Tensor:
         """`x (B, K, inputs)`, `condition (B, E)` to `(B, K, D)`."""

@@ -23,10 +23,10 @@ from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fouri
 
 __all__ = ["Conditions", "PathDiffuser", "PathDiffuserConfig"]
 
-_NO_ODDS = -1e4
+NO_ODDS = -1e4
 _AT_ONCE = 64  # paths: what their layers hold fits into a core's cache
-_LEVEL_FREQUENCIES = 12
-_TIME_FREQUENCIES = 16
+LEVEL_FREQUENCIES = 12
+TIME_FREQUENCIES = 16
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Conditions:
         most = max(scene.num_goals for scene in scenes) - 1
         images, vectors = [], []
         slopes = np.zeros((len(scenes), most, scenes[0].dim), dtype=np.float32)
-        intercepts = np.full((len(scenes), most), _NO_ODDS, dtype=np.float32)
+        intercepts = np.full((len(scenes), most), NO_ODDS, dtype=np.float32)
         for i, (scene, target) in enumerate(zip(scenes, targets, strict=True)):
             field = InformationPotentialField(scene.goals, sigma)
             images.append(scene_image(scene, target, field, resolution))
@@ -161,7 +161,7 @@ class Conditions:
         variance = torch.exp(-2 * self.vector[:, -1])[:, None, None]  # σ² in the frame
         features = [self.slopes * variance, torch.asinh(self.slopes) / 4]
         features.append(torch.asinh(self.intercepts)[..., None] / 4)
-        return torch.cat(features, dim=-1), self.intercepts > _NO_ODDS
+        return torch.cat(features, dim=-1), self.intercepts > NO_ODDS
 
     def wall_distance(self, points: Tensor) -> Tensor:
         """Distance `(B, K)` of points `(B, K, D)` from the nearest wall, negative outside."""
@@ -191,11 +191,11 @@ class PathDiffuser(nn.Module):
         self.place = nn.Linear(vector_size(config.dim), size)
         self.no_field = nn.Parameter(torch.zeros(size))
         self.scene = nn.Sequential(nn.SiLU(), Residual(size))
-        self.level = nn.Linear(2 * _LEVEL_FREQUENCIES + 1, size)
+        self.level = nn.Linear(2 * LEVEL_FREQUENCIES + 1, size)
         self.no_level = nn.Parameter(torch.zeros(size))
         self.fuse = nn.Sequential(Residual(size), Residual(size))
         self.time = nn.Sequential(
-            nn.Linear(2 * _TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
+            nn.Linear(2 * TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
         )
         self.unet = FiLMUNet(2 * config.dim + 2, config.dim, config.channels, size)
         self.spread: Tensor  # of the latent over the data, set by training
@@ -220,7 +220,7 @@ class PathDiffuser(nn.Module):
 
     def encode(self, scene: Tensor, level: Tensor, keep: Tensor | None = None) -> Tensor:
         """`(B, E)` of scene and ℓ `(B,)`; where `keep (B,)` is false ℓ is dropped."""
-        features = self.level(fourier(level, _LEVEL_FREQUENCIES))
+        features = self.level(fourier(level, LEVEL_FREQUENCIES))
         if keep is not None:
             features = torch.where(keep[:, None], features, self.no_level)
         return self.fuse(scene + features)
@@ -248,14 +248,12 @@ class PathDiffuser(nn.Module):
         reading = self._read(noisy, conditions)
         if keep is not None:
             reading = reading * keep[:, None, None]
-        condition = self._condition(context, timestep)
+        condition = F.silu(context + self.moments(timestep))
         return self.unet(torch.cat([noisy, reading], dim=-1), condition)
 
-    def _condition(self, context: Tensor, timestep: Tensor) -> Tensor:
-        """`(..., E)` of contexts `(..., E)` and timesteps `(...)`, each as far as it broadcasts."""
-        time = timestep.to(context.dtype) / self.config.diffusion_steps * 2 - 1
-        features = self.time(fourier(time.flatten(), _TIME_FREQUENCIES))
-        return F.silu(context + features.unflatten(0, timestep.shape))
+    def moments(self, timestep: Tensor) -> Tensor:
+        """`(B, E)`, what timesteps `(B,)` add to a context."""
+        return self.time(fourier(timestep / self.config.diffusion_steps * 2 - 1, TIME_FREQUENCIES))
 
     @torch.no_grad()
     def _read(self, noisy: Tensor, conditions: Conditions) -> Tensor:
@@ -333,8 +331,8 @@ class PathDiffuser(nn.Module):
 
         What modulates the blocks does not depend on the latent: it is computed for all steps first.
         """
-        moments = torch.tensor(times, device=noise.device)[:, None, None]
-        modulations = self.unet.modulations(self._condition(context, moments).flatten(1, 2))
+        moments = self.moments(torch.tensor(times, device=noise.device))[:, None, None]
+        modulations = self.unet.modulations(F.silu(context + moments).flatten(1, 2))
 
         def velocity(latent: Tensor, i: int) -> Tensor:
             reading = self._read(latent, conditions)
