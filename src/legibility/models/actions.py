@@ -120,9 +120,7 @@ class ActionDenoiser(nn.Module):
         """`(B, E)`, what timesteps `(B,)` add to a context."""
         return self.time(fourier(timestep / self.steps * 2 - 1, _TIME_FREQUENCIES))
 
-    def _denoiser(
-        self, context: Tensor, times: Sequence[int]
-    ) -> Callable[[Tensor, int], Tensor]:
+    def _denoiser(self, context: Tensor, times: Sequence[int]) -> Callable[[Tensor, int], Tensor]:
         """The velocity of noisy actions `(B, chunk, D)` at the i-th of `times`, for `ddim`.
 
         What modulates the blocks does not depend on the actions: it is computed for all steps here.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-import torch
 from torch import Tensor
 
 __all__ = ["ddim", "noise_schedule", "noised", "sampling_timesteps"]

@@ -175,9 +175,7 @@ class FiLMUNet(nn.Module):
             self.down.append(
                 nn.ModuleList([_Block(low, low, condition), _Convolution(low, high, stride=2)])
             )
-            self.up.insert(
-                0, nn.ModuleList([_Growth(high, low), _Block(2 * low, low, condition)])
-            )
+            self.up.insert(0, nn.ModuleList([_Growth(high, low), _Block(2 * low, low, condition)]))
         top = channels[-1]
         self.middle = nn.ModuleList([_Block(top, top, condition) for _ in range(2)])
         self.outlet = _Pointwise(channels[0], dim)

@@ -122,7 +122,8 @@ def _path_graph(model: PathDiffuser, steps: int, guided: bool) -> bytes:
     """`PathDiffuser.sample` with its steps unrolled, of `B` rows in one scene or as many."""
     g, config, dim = Graph(), model.config, model.config.dim
     times = sampling_timesteps(config.diffusion_steps, steps)
-    modulated = modulations(g, model.unet, _context(g, model, guided), model.moments(torch.tensor(times)))
+    moments = model.moments(torch.tensor(times))
+    modulated = modulations(g, model.unet, _context(g, model, guided), moments)
     reading = _reader(g, dim)
     latent = clean = "noise"
     for now, after, by in zip(times, [*times[1:], None], modulated, strict=True):
@@ -134,7 +135,7 @@ def _path_graph(model: PathDiffuser, steps: int, guided: bool) -> bytes:
             v, free = g.Split(v, outputs=2, axis=0, num_outputs=2)
             v = g.Add(v, g.Mul("weight", g.Sub(v, free)))
         clean, latent = ddim_step(g, latent, v, model.signal, now, after)
-    shapes = {
+    shapes: dict[str, list[int | str]] = {
         "image": ["S", "C", config.resolution, config.resolution],
         "vector": ["S", model.place.in_features],
         "slopes": ["S", "M", dim],
@@ -153,12 +154,14 @@ def _policy_graph(model: PathPolicy, steps: int) -> bytes:
     g, config = Graph(), model.config
     times = sampling_timesteps(config.diffusion_steps, steps)
     seen = g.Add(linear(g, "features", model.observe), g.Mul("without", model.no_path))
-    modulated = modulations(g, model.unet, sequence(g, seen, model.fuse), model.moments(torch.tensor(times)))
+    modulated = modulations(
+        g, model.unet, sequence(g, seen, model.fuse), model.moments(torch.tensor(times))
+    )
     latent = clean = "noise"
     for now, after, by in zip(times, [*times[1:], None], modulated, strict=True):
         v = unet(g, model.unet, latent, config.chunk, by)
         clean, latent = ddim_step(g, latent, v, model.signal, now, after)
-    shapes = {
+    shapes: dict[str, list[int | str]] = {
         "features": ["B", model.observe.in_features],
         "without": ["B", 1],
         "noise": ["B", config.chunk, config.dim],
@@ -189,9 +192,7 @@ def _image(g: Graph, model: PathDiffuser) -> str:
         elif isinstance(layer, nn.GroupNorm):
             groups, channels = layer.num_groups, layer.num_channels
             x = g.Reshape(x, [0, groups, -1])
-            x = g.InstanceNormalization(
-                x, np.ones(groups), np.zeros(groups), epsilon=layer.eps
-            )
+            x = g.InstanceNormalization(x, np.ones(groups), np.zeros(groups), epsilon=layer.eps)
             x = g.Reshape(x, [-1, channels, size, size])
             x = g.Add(g.Mul(x, layer.weight[:, None, None]), layer.bias[:, None, None])
         else:

@@ -12,7 +12,17 @@ from torch import Tensor, nn
 from ..errors import MissingExtraError
 from .networks import FiLMUNet
 
-__all__ = ["Graph", "ddim_step", "fourier", "linear", "modulations", "sequence", "session", "silu", "unet"]
+__all__ = [
+    "Graph",
+    "ddim_step",
+    "fourier",
+    "linear",
+    "modulations",
+    "sequence",
+    "session",
+    "silu",
+    "unet",
+]
 
 _OPSET, _IR = 18, 9
 
@@ -50,14 +60,14 @@ class Graph:
     def __init__(self) -> None:
         self._onnx = _installed()[0]
         self._nodes: list[Any] = []
-        self._constants: dict[Any, tuple[str, np.ndarray]] = {}
+        self._constants: dict[tuple[str, tuple[int, ...], bytes], str] = {}
 
     def constant(self, value: Any) -> str:
         """Name of a constant: numbers, which are float32, or integers for shapes and indices."""
         array = value.numpy() if isinstance(value, Tensor) else np.asarray(value)
         array = array.astype(np.int64 if array.dtype.kind == "i" else np.float32)
-        key = (array.dtype.kind, array.shape, array.tobytes())  # the steps share their weights
-        return self._constants.setdefault(key, (f"constant_{len(self._constants)}", array))[0]
+        key = (array.dtype.str, array.shape, array.tobytes())  # the steps share their weights
+        return self._constants.setdefault(key, f"constant_{len(self._constants)}")
 
     def __getattr__(self, kind: str) -> Any:
         """`graph.Add(x, 2.0)` is the name of a new node's output; what is no name is a constant.
@@ -73,21 +83,26 @@ class Graph:
 
         return node
 
-    def finished(self, inputs: dict[str, Sequence[int | str]], output: str) -> bytes:
+    def finished(self, inputs: dict[str, list[int | str]], output: str) -> bytes:
         """The serialised model of inputs by their shapes, in which a name is any number."""
         helper, kind = self._onnx.helper, self._onnx.TensorProto.FLOAT
+        constants = [
+            self._onnx.numpy_helper.from_array(np.frombuffer(data, dtype).reshape(shape), name)
+            for (dtype, shape, data), name in self._constants.items()
+        ]
         graph = helper.make_graph(
             self._nodes,
             "legibility",
             [helper.make_tensor_value_info(n, kind, shape) for n, shape in inputs.items()],
             [helper.make_tensor_value_info(output, kind, None)],
-            [self._onnx.numpy_helper.from_array(a, name) for name, a in self._constants.values()],
+            constants,
         )
         opset = [helper.make_opsetid("", _OPSET)]
         return helper.make_model(graph, opset_imports=opset, ir_version=_IR).SerializeToString()
 
 
 def silu(g: Graph, x: str) -> str:
+    """x σ(x)."""
     return g.Mul(x, g.Sigmoid(x))
 
 

@@ -309,7 +309,7 @@ class PathDiffuser(nn.Module):
         return torch.cat(parts)
 
     def _contexts(self, conditions: Conditions, level: Tensor, guided: bool) -> Tensor:
-        """`(1, B, E)`, what `encode` gives; guided `(2, B, E)`, what it gives of nothing besides."""
+        """`(1, B, E)` from `encode`; guided `(2, B, E)`, what it gives of nothing besides."""
         size, scene = len(level), self.encode_scene(conditions).expand(len(level), -1)
         if not guided:
             return self.encode(scene, level)[None]
