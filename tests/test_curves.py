@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 
 from legibility import curves
 
@@ -118,6 +119,13 @@ def test_spline_passes_its_knots_and_is_exact_for_cubics():
     cubic = 1 - 2 * t + 3 * t**2 - 4 * t**3
     np.testing.assert_allclose(matrix @ cubic[::10], cubic, atol=1e-12)
     np.testing.assert_allclose(matrix.sum(-1), 1, atol=1e-12)
+
+
+@pytest.mark.parametrize("knots", [4, 5, 6, 10, 17])
+def test_spline_is_that_of_scipy(knots):
+    for points in (2, 10, 48, 257):
+        expected = CubicSpline(np.linspace(0, 1, knots), np.eye(knots))(np.linspace(0, 1, points))
+        np.testing.assert_allclose(curves.spline_matrix(knots, points), expected, atol=1e-14)
 
 
 def test_spline_matrix_is_shared_and_read_only():

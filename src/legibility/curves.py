@@ -88,16 +88,50 @@ def spaced(trajectory: Array, spacing: float) -> Array:
 
 @functools.lru_cache(maxsize=32)
 def spline_matrix(num_knots: int, num_points: int) -> Array:
-    """`(num_points, num_knots)`: the not-a-knot cubic spline through equally spaced knots.
+    """`(num_points, num_knots)`: the not-a-knot cubic spline through equally spaced knots, ≥ 4.
 
-    The spline is linear in its knots, so a batch of paths is a matrix product.
+    The spline is linear in its knots, so a batch of paths is a matrix product. What SciPy's
+    `CubicSpline` gives, in its order of operations; to import that takes longer than to
+    load a model and plan, and more memory.
     """
-    from scipy.interpolate import CubicSpline
-
-    knots = np.linspace(0, 1, num_knots)
-    matrix = CubicSpline(knots, np.eye(num_knots))(np.linspace(0, 1, num_points))
+    knots, values = np.linspace(0, 1, num_knots), np.eye(num_knots)
+    gap = np.diff(knots)
+    step = gap[:, None]
+    slope = np.diff(values, axis=0) / step
+    derivative = _derivatives(knots, gap, slope)
+    bend = (derivative[:-1] + derivative[1:] - 2 * slope) / step
+    coefficients = (values[:-1], derivative[:-1], (slope - derivative[:-1]) / step - bend,
+                    bend / step)  # fmt: skip
+    places = np.linspace(0, 1, num_points)
+    left = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, num_knots - 2)
+    offset = (places - knots[left])[:, None]
+    matrix, power = np.zeros((num_points, num_knots)), 1.0
+    for each in coefficients:
+        matrix, power = matrix + each[left] * power, power * offset
     matrix.setflags(write=False)
     return matrix
+
+
+def _derivatives(knots: Array, gap: Array, slope: Array) -> Array:
+    """Of the spline at its knots, `(n, n)`: a tridiagonal system, solved by elimination."""
+    first, last = knots[2] - knots[0], knots[-1] - knots[-3]
+    low = np.append(gap[1:], last)
+    diagonal = np.concatenate([[gap[1]], 2 * (gap[:-1] + gap[1:]), [gap[-2]]])
+    high = np.append(first, gap[:-1])
+    step = gap[:, None]
+    found = np.concatenate([
+        ((step[0] + 2 * first) * step[1] * slope[:1] + step[0] ** 2 * slope[1]) / first,
+        3 * (step[1:] * slope[:-1] + step[:-1] * slope[1:]),
+        (step[-1] ** 2 * slope[-2:-1] + (2 * last + step[-1]) * step[-2] * slope[-1]) / last,
+    ])  # fmt: skip
+    for i, below in enumerate(low):
+        factor = below / diagonal[i]
+        diagonal[i + 1] -= factor * high[i]
+        found[i + 1] -= factor * found[i]
+    found[-1] /= diagonal[-1]
+    for i in reversed(range(len(high))):
+        found[i] = (found[i] - high[i] * found[i + 1]) / diagonal[i]
+    return found
 
 
 def distance_to_segment(points: Array, start: Array, end: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
@@ -19,6 +19,9 @@ from .intent.metrics import SCORE_POINTS, legibility_score
 from .models.path_policy import Observation, PathPolicy
 from .motion.tracking import PathTracker, feedback_action
 from .path import Path
+
+if TYPE_CHECKING:
+    from .models.onnx import OnnxPathPolicy
 
 __all__ = ["Driver", "Feedback", "Fleet", "Policy", "Replay", "Rollout", "follow"]
 
@@ -188,7 +191,11 @@ class Policy:
     """Stage 2. Without the path it is to reach the goal anyhow."""
 
     def __init__(
-        self, model: PathPolicy, seed: int, steps: int | None = None, with_path: bool = True
+        self,
+        model: PathPolicy | OnnxPathPolicy,
+        seed: int,
+        steps: int | None = None,
+        with_path: bool = True,
     ) -> None:
         self.model, self.steps, self.with_path = model, steps, with_path
         self.generator = torch.Generator().manual_seed(seed)

@@ -33,7 +33,10 @@ from .motion.archive import Archive
 from .path import Path, scene_archive, straight_waypoints
 from .scene import MIN_SEPARATION, Scene
 
-__all__ = ["Modulator"]
+__all__ = ["BACKENDS", "Modulator"]
+
+BACKENDS = ("torch", "onnx")
+"""What may run the networks."""
 
 _ATTEMPTS = 3
 _LESS = 0.03
@@ -50,6 +53,11 @@ class Modulator:
         path_policy: stage 2; without it motions are planned, not executed.
         name: of the weights.
         training: how each stage was made, by the names `path` and `policy`, for the model card.
+        backend: what runs the networks, `torch` or `onnx` (onnxruntime: the same results to
+            rounding, sooner); `onnx` keeps to the weights of now.
+
+    Raises:
+        MissingExtraError: onnxruntime is asked for and not installed.
     """
 
     def __init__(
@@ -58,6 +66,7 @@ class Modulator:
         path_policy: PathPolicy | None = None,
         name: str = "unnamed",
         training: dict[str, Any] | None = None,
+        backend: str = "torch",
     ) -> None:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
         self.path_policy = path_policy
@@ -70,6 +79,14 @@ class Modulator:
                 )
         self.name = name
         self.training = training or {}
+        if backend not in BACKENDS:
+            raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
+        self._sample, self._actor = self.path_diffuser.sample, path_policy
+        if backend == "onnx":
+            from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy
+
+            self._sample = OnnxPathDiffuser(path_diffuser).sample
+            self._actor = path_policy and OnnxPathPolicy(path_policy)
 
     @property
     def config(self) -> PathDiffuserConfig:
@@ -77,23 +94,28 @@ class Modulator:
         return self.path_diffuser.config
 
     @classmethod
-    def from_pretrained(cls, name_or_folder: str | FilePath) -> Modulator:
+    def from_pretrained(
+        cls, name_or_folder: str | FilePath, *, backend: str = "torch"
+    ) -> Modulator:
         """Load weights that came with the package, or from a folder.
 
         Args:
             name_or_folder: one of `pretrained_names()`, or a folder with `config.json`,
                 `path.safetensors` and, for stage 2, `policy.safetensors`.
+            backend: what runs the networks, `torch` or `onnx`, see `Modulator`.
 
         Raises:
             CheckpointError: there are no such weights, or they are corrupted.
+            MissingExtraError: onnxruntime is asked for and not installed.
         """
         folder = pretrained_folder(name_or_folder)
         stages, training = load_stages(folder)
         if "path" not in stages:
             raise CheckpointError(f"{folder} has no stage 1")
         return cls(
-            stages["path"], stages.get("policy"), name=folder.resolve().name, training=training
-        )
+            stages["path"], stages.get("policy"),
+            name=folder.resolve().name, training=training, backend=backend,
+        )  # fmt: skip
 
     def save_pretrained(self, folder: str | FilePath) -> None:
         """Write `config.json` and the weights of each stage to `folder`."""
@@ -242,9 +264,9 @@ class Modulator:
         """
         seed = random_seed("seed", seed)
         if driver is None:
-            if self.path_policy is None:
+            if self._actor is None:
                 raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
-            driver = Policy(self.path_policy, seed)
+            driver = Policy(self._actor, seed)
         fleet = Fleet(env, seed)
         if fleet.workspace.shape[1] != self.config.dim:
             raise InvalidInputError(
@@ -397,7 +419,7 @@ class Modulator:
         size, dim = len(levels), self.config.dim
         generator = torch.Generator().manual_seed(seed)
         noise = torch.randn(size, NUM_WAYPOINTS, dim, generator=generator)
-        drawn = model.sample(
+        drawn = self._sample(
             model.conditions(scenes, targets),
             torch.from_numpy(levels.astype(np.float32)),
             noise,

@@ -37,13 +37,14 @@ class TestSampler:
         wanted, noise = torch.randn(2, 3, 8, 2, generator=generator)
         signal = noise_schedule(100)
 
-        def velocity(latent, timestep):
-            alpha = signal[timestep][:, None, None]
+        def velocity(latent, i):
+            alpha = signal[times[i]]
             rest = (latent - alpha.sqrt() * wanted) / (1 - alpha).sqrt()
             return alpha.sqrt() * rest - (1 - alpha).sqrt() * wanted
 
         for steps in (1, 2, 5, 100):
-            found = ddim(velocity, noise, signal, sampling_timesteps(100, steps))
+            times = sampling_timesteps(100, steps)
+            found = ddim(velocity, noise, signal, times)
             torch.testing.assert_close(found, wanted, atol=1e-3, rtol=1e-3)
 
     def test_bounded_it_ends_within_the_bound_however_strong_the_velocity(self):
@@ -51,14 +52,14 @@ class TestSampler:
         signal = noise_schedule(100)
         for steps in (1, 2, 10, 100):
             times = sampling_timesteps(100, steps, to_end=True)
-            found = ddim(lambda x, t: -50 * x - 7, noise, signal, times, bound=1.5)
+            found = ddim(lambda x, i: -50 * x - 7, noise, signal, times, bound=1.5)
             assert torch.isfinite(found).all()
             assert found.abs().max() <= 1.5
 
     def test_a_bound_that_is_never_met_changes_nothing(self):
         noise = torch.randn(4, 8, 2, generator=torch.Generator().manual_seed(0))
         signal, times = noise_schedule(100), sampling_timesteps(100, 10)
-        free, bounded = (ddim(lambda x, t: 0.3 * x, noise, signal, times, b) for b in (inf, 1e3))
+        free, bounded = (ddim(lambda x, i: 0.3 * x, noise, signal, times, b) for b in (inf, 1e3))
         torch.testing.assert_close(free, bounded, atol=1e-4, rtol=1e-4)
 
     def test_velocity_and_noisy_give_back_clean_and_noise(self):

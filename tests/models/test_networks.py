@@ -43,6 +43,29 @@ def test_rows_of_a_batch_do_not_meet():
     torch.testing.assert_close(encoder(image[2:3]), encoder(image)[2:3])
 
 
+def test_convolutions_as_matrix_products_are_those_of_pytorch():
+    torch.manual_seed(0)
+    net, x = FiLMUNet(6, 2, (8, 16), condition=5), torch.randn(3, 8, 8)
+    (block, shrink), (grow, _) = net.down[0], net.up[0]
+    wide = torch.randn(3, 4, 16)
+    for layer, inputs in ((block.first, x), (shrink, x), (net.outlet, x), (grow, wide)):
+        kind = torch.nn.ConvTranspose1d if layer is grow else torch.nn.Conv1d
+        expected = kind.forward(layer, inputs.transpose(1, 2)).transpose(1, 2)
+        torch.testing.assert_close(layer(inputs), expected, atol=1e-5, rtol=1e-5)
+    expected = torch.nn.functional.group_norm(x.transpose(1, 2), 8).transpose(1, 2)
+    torch.testing.assert_close(block.norms[0](x), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_modulations_of_all_steps_at_once_are_those_of_each():
+    torch.manual_seed(0)
+    net, x, conditions = FiLMUNet(6, 2, (8, 16), 5), torch.randn(3, 8, 6), torch.randn(4, 3, 5)
+    torch.nn.init.normal_(net.outlet.weight)
+    together = net.modulations(conditions)
+    for i, condition in enumerate(conditions):
+        found = net.modulated(x, [(scale[i], shift[i]) for scale, shift in together])
+        torch.testing.assert_close(found, net(x, condition))
+
+
 @pytest.mark.parametrize("resolution", [8, 16, 32])
 def test_encoder(resolution):
     encoder = FieldEncoder(6, resolution, 8, 12)

@@ -11,7 +11,7 @@ from legibility import InformationPotentialField, Scene
 from legibility.curves import NUM_WAYPOINTS
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.models.checkpoint import load_state
-from legibility.models.diffusion import noise_schedule, sampling_timesteps
+from legibility.models.diffusion import ddim, noise_schedule, sampling_timesteps
 from legibility.models.frame import DEPTH, Frame, vector_size
 from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
 
@@ -229,6 +229,37 @@ class TestSample:
         conditions = model.conditions(scenes(dim), [0, 0, 0]).map(lambda x: x[1:2])
         alone = model.sample(conditions, torch.tensor([0.0]), noise(3, dim)[1:2])
         torch.testing.assert_close(alone, self.sample(model)[1:2], atol=1e-5, rtol=1e-5)
+
+    @pytest.mark.parametrize("guidance", [0.0, 0.5])
+    def test_is_denoised_by_forward(self, dim, guidance):
+        """Drawn as it is learned: what is computed once for all steps is that of each step."""
+        model, level = make(dim), torch.tensor([-1.0, 0.3, 1])
+        conditions = model.conditions(scenes(dim), [0, 0, 0])
+        times, never = sampling_timesteps(100, 3), torch.zeros(3, dtype=torch.bool)
+        context = model.encode(model.encode_scene(conditions), level)
+        nothing = model.encode(model.encode_scene(conditions, never), level, never)
+        weight = guidance * level[:, None, None] ** 4
+
+        def velocity(latent, i):
+            time = torch.full((3,), times[i])
+            found = model(latent, time, context, conditions)
+            free = model(latent, time, nothing, conditions, never)
+            return found + weight * (found - free)
+
+        with torch.no_grad():
+            expected = model.from_latent(ddim(velocity, noise(3, dim), model.signal, times))
+        found = model.sample(conditions, level, noise(3, dim), guidance=guidance)
+        torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+
+    def test_a_batch_that_is_drawn_in_parts(self, dim):
+        model, level = make(dim), torch.linspace(-1, 1, 150)
+        many = [Scene.random(np.random.default_rng(i), dim=dim) for i in range(150)]
+        whole = model.conditions(many, [0] * 150)
+        found = model.sample(whole, level, noise(150, dim))
+        for i in (0, 63, 64, 149):
+            alone = whole.map(lambda x, i=i: x[i : i + 1])
+            expected = model.sample(alone, level[i : i + 1], noise(150, dim)[i : i + 1])
+            torch.testing.assert_close(found[i : i + 1], expected, atol=1e-4, rtol=1e-4)
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
     def test_one_scene_for_all_levels(self, dim, guidance):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-import torch
 from torch import Tensor
 
 __all__ = ["ddim", "noise_schedule", "noised", "sampling_timesteps"]
@@ -47,7 +46,7 @@ def sampling_timesteps(diffusion_steps: int, steps: int, *, to_end: bool = False
 
 
 def ddim(
-    velocity: Callable[[Tensor, Tensor], Tensor],
+    velocity: Callable[[Tensor, int], Tensor],
     noise: Tensor,
     signal: Tensor,
     times: Sequence[int],
@@ -56,7 +55,7 @@ def ddim(
     """Denoise `noise (B, K, D)` deterministically (Song et al. 2021); the same noise, the same end.
 
     Args:
-        velocity: v of a noisy latent `(B, K, D)` and its timestep `(B,)`.
+        velocity: v of a noisy latent `(B, K, D)` at the i-th of `times`.
         noise: standard normal.
         signal: ᾱ at each diffusion step, `(S,)`.
         times: the diffusion steps to take, falling from the last, see `sampling_timesteps`.
@@ -64,13 +63,14 @@ def ddim(
             from running away.
     """
     latent = clean = noise
-    for time, after in zip(times, [*times[1:], None], strict=True):
-        v = velocity(latent, torch.full(noise.shape[:1], time, device=noise.device))
-        kept, lost = signal[time].sqrt(), (1 - signal[time]).sqrt()
+    roots, rest = signal.sqrt(), (1 - signal).sqrt()
+    for i, (time, after) in enumerate(zip(times, [*times[1:], None], strict=True)):
+        v = velocity(latent, i)
+        kept, lost = roots[time], rest[time]
         clean, residue = kept * latent - lost * v, lost * latent + kept * v
         if math.isfinite(bound):
             clean = clean.clamp(-bound, bound)
             residue = (latent - kept * clean) / lost
         if after is not None:
-            latent = signal[after].sqrt() * clean + (1 - signal[after]).sqrt() * residue
+            latent = roots[after] * clean + rest[after] * residue
     return clean

@@ -7,6 +7,7 @@ that a scene may be moved, turned or scaled.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,19 +87,32 @@ def scene_image(
         posterior of the target, its potential as log(1 + φ)/2, and the distance d to the nearest
         wall, negative outside and in lengths of the straight line, as tanh(2d).
     """
-    frame = Frame.of(scene, target)
-    sizes = (resolution, resolution, DEPTH)[: scene.dim]
+    frame, grid = Frame.of(scene, target), _grid(scene.dim, resolution)
+    # What is linear in the points is exact; the rest, drawn in float32, is as exact as the image.
+    slopes, intercepts = _odds(scene, target, field)
+    odds = (slopes @ grid + intercepts[:, None]).astype(np.float32)
+    against = odds.max(axis=0)
+    against += np.log(np.exp(odds - against).sum(axis=0))
+    potential = np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))
+    low, high = scene.workspace
+    offset = (scene.start - (low + high) / 2) / frame.scale
+    aside = np.abs(frame.rotation.T @ grid + offset[:, None])
+    wall = ((high - low)[:, None] / 2 / frame.scale - aside).min(axis=0).astype(np.float32)
+    image = np.stack([np.exp(-potential), np.log1p(potential) / 2, np.tanh(2 * wall)])
+    return image.reshape(-1, resolution, resolution)
+
+
+@functools.lru_cache(maxsize=8)
+def _grid(dim: int, resolution: int) -> Array:
+    """The image's points in the frame, `(D, N)`, in the order of its pixels."""
+    sizes = (resolution, resolution, DEPTH)[:dim]
     axes = [
         low + (np.arange(size) + 0.5) / size * (high - low)
-        for (low, high), size in zip(WINDOW[: scene.dim], sizes, strict=True)
+        for (low, high), size in zip(WINDOW[:dim], sizes, strict=True)
     ]
-    points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
-    points = frame.frame_to_world(points)
-    potential = field.potential(points, target)
-    low, high = scene.workspace
-    wall = np.minimum(points - low, high - points).min(axis=-1) / frame.scale
-    image = np.stack([np.exp(-potential), np.log1p(potential) / 2, np.tanh(2 * wall)])
-    return image.reshape(-1, resolution, resolution).astype(np.float32)
+    grid = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1]).reshape(dim, -1)
+    grid.setflags(write=False)
+    return grid
 
 
 def scene_vector(scene: Scene, target: int, field: InformationPotentialField) -> np.ndarray:
@@ -127,10 +141,16 @@ def scene_odds(
         Slopes `(G − 1, D)` and intercepts `(G − 1,)` of the distractors, in the start–target frame,
         so that φ(x|g*) = log(1 + Σ_g exp(slope_g · x + intercept_g)).
     """
+    slopes, intercepts = _odds(scene, target, field)
+    return slopes.astype(np.float32), intercepts.astype(np.float32)
+
+
+def _odds(scene: Scene, target: int, field: InformationPotentialField) -> tuple[Array, Array]:
+    """`scene_odds` in full precision."""
     corners = np.concatenate([np.zeros((1, scene.dim)), np.eye(scene.dim)])
     log_posterior = field.log_posterior(Frame.of(scene, target).frame_to_world(corners))
     odds = np.delete(log_posterior, target, axis=1) - log_posterior[:, [target]]
-    return (odds[1:] - odds[0]).T.astype(np.float32), odds[0].astype(np.float32)
+    return (odds[1:] - odds[0]).T, odds[0]
 
 
 def vector_size(dim: int) -> int:

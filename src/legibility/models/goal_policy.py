@@ -119,12 +119,14 @@ class GoalPolicy(ActionDenoiser):
         context = self.encode(torch.from_numpy(features).flatten(0, 1), known)
         weight = torch.from_numpy(weights.astype(np.float32))
 
-        def velocity(noisy: Tensor, timestep: Tensor) -> Tensor:
-            each = self(noisy.repeat_interleave(num, 0), timestep.repeat_interleave(num), context)
-            return torch.einsum("bc,bc...->b...", weight, each.unflatten(0, (size, num)))
-
         times = sampling_timesteps(
             len(self.signal), steps or self.config.sampling_steps, to_end=True
         )
+        each = self._denoiser(context, times)
+
+        def velocity(noisy: Tensor, i: int) -> Tensor:
+            found = each(noisy.repeat_interleave(num, 0), i)
+            return torch.einsum("bc,bc...->b...", weight, found.unflatten(0, (size, num)))
+
         actions = ddim(velocity, noise, self.signal, times, bound=1 / float(self.scale))
         return (actions * self.scale).double().numpy() * self.config.limit

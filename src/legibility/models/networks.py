@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -11,7 +13,6 @@ from torch.nn import functional as F
 __all__ = ["DistractorEncoder", "FiLMUNet", "FieldEncoder", "Residual", "fourier"]
 
 _GROUPS = 8
-_FEW = 32
 
 
 def fourier(value: Tensor, num: int) -> Tensor:
@@ -75,22 +76,61 @@ class Residual(nn.Module):
 
 
 class _Convolution(nn.Conv1d):
-    """A convolution of width 3 over the waypoints; for few paths it is a matrix product.
+    """A convolution of width 3 over the waypoints, as one matrix product.
 
     A library's convolution needs longer to set itself up than to convolve eight points.
     """
 
     def __init__(self, channels: int, out: int, stride: int = 1) -> None:
         super().__init__(channels, out, 3, stride=stride, padding=1)
+        # (C′, C, 3) as ever, but so laid out that `_matrix` need not copy it.
+        last = self.weight.detach().transpose(1, 2).contiguous()
+        self.weight = nn.Parameter(last.transpose(1, 2))
 
     def forward(self, input: Tensor) -> Tensor:
-        """`(B, C, K)` to `(B, C′, K / stride)`."""
-        if len(input) > _FEW:
-            return super().forward(input)
-        assert self.bias is not None
-        windows = F.pad(input, (1, 1)).unfold(2, 3, self.stride[0]).transpose(1, 2)
-        product = F.linear(windows.flatten(2), self.weight.flatten(1), self.bias)
-        return product.transpose(1, 2)
+        """`(B, K, C)` to `(B, K / stride, C′)`."""
+        windows = F.pad(input, (0, 0, 1, 1)).unfold(1, 3, self.stride[0])
+        windows = windows.transpose(2, 3).flatten(2).contiguous()
+        return F.linear(windows, self.weight.transpose(1, 2).flatten(1), self.bias)
+
+
+class _Pointwise(nn.Conv1d):
+    """A convolution of width 1: a linear layer whose weight is stored as a convolution's."""
+
+    def __init__(self, channels: int, out: int) -> None:
+        super().__init__(channels, out, 1)
+
+    def forward(self, input: Tensor) -> Tensor:
+        """`(B, K, C)` to `(B, K, C′)`."""
+        return F.linear(input, self.weight[..., 0], self.bias)
+
+
+class _Growth(nn.ConvTranspose1d):
+    """A transposed convolution of width 4 and stride 2, as one matrix product."""
+
+    def __init__(self, channels: int, out: int) -> None:
+        super().__init__(channels, out, 4, stride=2, padding=1)
+
+    def forward(self, input: Tensor, output_size: list[int] | None = None) -> Tensor:
+        """`(B, K, C)` to `(B, 2K, C′)`."""
+        taps = (input @ self.weight.flatten(1)).unflatten(2, (-1, 4))
+        after, even, odd, before = taps.unbind(-1)
+        even = even + F.pad(before[:, :-1], (0, 0, 1, 0))
+        odd = odd + F.pad(after[:, 1:], (0, 0, 0, 1))
+        grown = torch.stack([even, odd], dim=2).flatten(1, 2)
+        return grown if self.bias is None else grown + self.bias
+
+
+class _GroupNorm(nn.GroupNorm):
+    """Group normalisation of channels that come last."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """`(B, K, C)`."""
+        return super().forward(input.transpose(1, 2)[..., None])[..., 0].transpose(1, 2)
+
+
+Modulation = tuple[Tensor, Tensor]
+"""Scale and shift `(..., B, 1, C)` of one block."""
 
 
 class _Block(nn.Module):
@@ -100,15 +140,19 @@ class _Block(nn.Module):
         super().__init__()
         self.first = _Convolution(channels, out)
         self.second = _Convolution(out, out)
-        self.norms = nn.ModuleList([nn.GroupNorm(_GROUPS, out) for _ in range(2)])
+        self.norms = nn.ModuleList([_GroupNorm(_GROUPS, out) for _ in range(2)])
         self.film = nn.Linear(condition, 2 * out)
-        self.skip = nn.Conv1d(channels, out, 1) if channels != out else nn.Identity()
+        self.skip = _Pointwise(channels, out) if channels != out else nn.Identity()
 
-    def forward(self, x: Tensor, condition: Tensor) -> Tensor:
-        """`x (B, C, K)`, `condition (B, E)` to `(B, C′, K)`."""
-        scale, shift = self.film(condition)[..., None].chunk(2, dim=1)
-        h = self.norms[0](self.first(x))
-        h = F.silu(h * (1 + scale) + shift)
+    def modulation(self, condition: Tensor) -> Modulation:
+        """Of a condition `(..., B, E)`."""
+        scale, shift = self.film(condition)[..., None, :].chunk(2, dim=-1)
+        return 1 + scale, shift
+
+    def forward(self, x: Tensor, modulation: Modulation) -> Tensor:
+        """`x (B, K, C)` to `(B, K, C′)`."""
+        scale, shift = modulation
+        h = F.silu(torch.addcmul(shift, self.norms[0](self.first(x)), scale))
         h = F.silu(self.norms[1](self.second(h)))
         return self.skip(x) + h
 
@@ -131,27 +175,37 @@ class FiLMUNet(nn.Module):
             self.down.append(
                 nn.ModuleList([_Block(low, low, condition), _Convolution(low, high, stride=2)])
             )
-            self.up.insert(
-                0,
-                nn.ModuleList(
-                    [nn.ConvTranspose1d(high, low, 4, 2, 1), _Block(2 * low, low, condition)]
-                ),
-            )
+            self.up.insert(0, nn.ModuleList([_Growth(high, low), _Block(2 * low, low, condition)]))
         top = channels[-1]
         self.middle = nn.ModuleList([_Block(top, top, condition) for _ in range(2)])
-        self.outlet = nn.Conv1d(channels[0], dim, 1)
+        self.outlet = _Pointwise(channels[0], dim)
         nn.init.zeros_(self.outlet.weight)
+
+    def blocks(self) -> list[Any]:
+        """Its blocks in the order in which they are passed."""
+        down: Any = self.down
+        up: Any = self.up
+        return [*(pair[0] for pair in down), *self.middle, *(pair[1] for pair in up)]
+
+    def modulations(self, condition: Tensor) -> list[Modulation]:
+        """Of every block by a condition `(..., B, E)`: of one step, or of all steps at once."""
+        return [block.modulation(condition) for block in self.blocks()]
 
     def forward(self, x: Tensor, condition: Tensor) -> Tensor:
         """`x (B, K, inputs)`, `condition (B, E)` to `(B, K, D)`."""
-        h = self.inlet(x.transpose(1, 2))
+        return self.modulated(x, self.modulations(condition))
+
+    def modulated(self, x: Tensor, modulations: Sequence[Modulation]) -> Tensor:
+        """`forward` by what `modulations` gave of the condition."""
+        each = iter(modulations)
+        h = self.inlet(x)
         skips = []
         for block, shrink in self.down:  # pyright: ignore[reportGeneralTypeIssues]
-            h = block(h, condition)
+            h = block(h, next(each))
             skips.append(h)
             h = shrink(h)
         for block in self.middle:
-            h = block(h, condition)
+            h = block(h, next(each))
         for grow, block in self.up:  # pyright: ignore[reportGeneralTypeIssues]
-            h = block(torch.cat([grow(h), skips.pop()], dim=1), condition)
-        return self.outlet(h).transpose(1, 2)
+            h = block(torch.cat([grow(h), skips.pop()], dim=2), next(each))
+        return self.outlet(h)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from ..checks import bounded, count, positive
 from ..curves import NUM_WAYPOINTS
@@ -22,9 +23,10 @@ from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fouri
 
 __all__ = ["Conditions", "PathDiffuser", "PathDiffuserConfig"]
 
-_NO_ODDS = -1e4
-_LEVEL_FREQUENCIES = 12
-_TIME_FREQUENCIES = 16
+NO_ODDS = -1e4
+_AT_ONCE = 64  # paths: what their layers hold fits into a core's cache
+LEVEL_FREQUENCIES = 12
+TIME_FREQUENCIES = 16
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ class Conditions:
         most = max(scene.num_goals for scene in scenes) - 1
         images, vectors = [], []
         slopes = np.zeros((len(scenes), most, scenes[0].dim), dtype=np.float32)
-        intercepts = np.full((len(scenes), most), _NO_ODDS, dtype=np.float32)
+        intercepts = np.full((len(scenes), most), NO_ODDS, dtype=np.float32)
         for i, (scene, target) in enumerate(zip(scenes, targets, strict=True)):
             field = InformationPotentialField(scene.goals, sigma)
             images.append(scene_image(scene, target, field, resolution))
@@ -153,7 +155,7 @@ class Conditions:
         odds = points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
         against = torch.logsumexp(odds, dim=-1, keepdim=True)
         shares = torch.exp(odds - against) * torch.sigmoid(against)
-        return nn.functional.softplus(against[..., 0]), shares @ self.slopes
+        return F.softplus(against[..., 0]), shares @ self.slopes
 
     def distractors(self) -> tuple[Tensor, Tensor]:
         """Features `(B, M, 2D + 1)` of each distractor, and whether there is one, `(B, M)`.
@@ -163,7 +165,7 @@ class Conditions:
         variance = torch.exp(-2 * self.vector[:, -1])[:, None, None]  # σ² in the frame
         features = [self.slopes * variance, torch.asinh(self.slopes) / 4]
         features.append(torch.asinh(self.intercepts)[..., None] / 4)
-        return torch.cat(features, dim=-1), self.intercepts > _NO_ODDS
+        return torch.cat(features, dim=-1), self.intercepts > NO_ODDS
 
     def wall_distance(self, points: Tensor) -> Tensor:
         """Distance `(B, K)` of points `(B, K, D)` from the nearest wall, negative outside."""
@@ -194,17 +196,21 @@ class PathDiffuser(nn.Module):
         self.place = nn.Linear(vector_size(config.dim), size)
         self.no_field = nn.Parameter(torch.zeros(size))
         self.scene = nn.Sequential(nn.SiLU(), Residual(size))
-        self.level = nn.Linear(2 * _LEVEL_FREQUENCIES + 1, size)
+        self.level = nn.Linear(2 * LEVEL_FREQUENCIES + 1, size)
         self.no_level = nn.Parameter(torch.zeros(size))
         self.fuse = nn.Sequential(Residual(size), Residual(size))
         self.time = nn.Sequential(
-            nn.Linear(2 * _TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
+            nn.Linear(2 * TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
         )
         self.unet = FiLMUNet(2 * config.dim + 2, config.dim, config.channels, size)
         self.spread: Tensor  # of the latent over the data, set by training
         self.register_buffer("spread", torch.ones(NUM_WAYPOINTS, config.dim))
         self.signal: Tensor  # ᾱ at each diffusion step, set by training
         self.register_buffer("signal", torch.ones(config.diffusion_steps))
+        self.straight: Tensor  # the waypoints of the straight line
+        straight = torch.zeros(NUM_WAYPOINTS, config.dim)
+        straight[:, 0] = torch.arange(1, NUM_WAYPOINTS + 1) / (NUM_WAYPOINTS + 1)
+        self.register_buffer("straight", straight, persistent=False)
 
     def conditions(self, scenes: list[Scene], targets: list[int]) -> Conditions:
         """What the network sees of `scenes`, goal `targets[i]` meant in the i-th."""
@@ -225,7 +231,7 @@ class PathDiffuser(nn.Module):
 
     def encode(self, scene: Tensor, level: Tensor, keep: Tensor | None = None) -> Tensor:
         """`(B, E)` of scene and ℓ `(B,)`; where `keep (B,)` is false ℓ is dropped."""
-        features = self.level(fourier(level, _LEVEL_FREQUENCIES))
+        features = self.level(fourier(level, LEVEL_FREQUENCIES))
         if keep is not None:
             features = torch.where(keep[:, None], features, self.no_level)
         return self.fuse(scene + features)
@@ -250,36 +256,39 @@ class PathDiffuser(nn.Module):
             conditions: of the `B` scenes.
             keep: `(B,)`, where it is false the field is dropped.
         """
-        time = timestep.to(noisy.dtype) / self.config.diffusion_steps * 2 - 1
-        condition = context + self.time(fourier(time, _TIME_FREQUENCIES))
-        with torch.no_grad():
-            points = self.from_latent(noisy)
-            potential, gradient = conditions.potential(points)
-            reading = torch.cat([
-                torch.log1p(potential)[..., None] - 1,
-                torch.asinh(gradient) / 2,
-                torch.tanh(2 * conditions.wall_distance(points))[..., None],
-            ], dim=-1)  # fmt: skip
-            if not self.config.field:
-                reading[..., :-1] = 0
-            if keep is not None:
-                reading = reading * keep[:, None, None]
-        return self.unet(torch.cat([noisy, reading], dim=-1), nn.functional.silu(condition))
+        reading = self._read(noisy, conditions)
+        if keep is not None:
+            reading = reading * keep[:, None, None]
+        condition = F.silu(context + self.moments(timestep))
+        return self.unet(torch.cat([noisy, reading], dim=-1), condition)
+
+    def moments(self, timestep: Tensor) -> Tensor:
+        """`(B, E)`, what timesteps `(B,)` add to a context."""
+        return self.time(fourier(timestep / self.config.diffusion_steps * 2 - 1, TIME_FREQUENCIES))
+
+    @torch.no_grad()
+    def _read(self, noisy: Tensor, conditions: Conditions) -> Tensor:
+        """`(B, K, D + 2)` of the field and the walls at the points of `noisy (B, K, D)`."""
+        points = self.from_latent(noisy)
+        potential, gradient = conditions.potential(points)
+        reading = torch.cat([
+            torch.log1p(potential)[..., None] - 1,
+            torch.asinh(gradient) / 2,
+            torch.tanh(2 * conditions.wall_distance(points))[..., None],
+        ], dim=-1)  # fmt: skip
+        if not self.config.field:
+            reading[..., :-1] = 0
+        return reading
 
     def to_latent(self, waypoints: Tensor) -> Tensor:
         """Waypoints `(..., K, D)` in the start–target frame to what is denoised."""
-        deviation = waypoints - self._straight(waypoints)
+        deviation = waypoints - self.straight
         return torch.asinh(deviation / self.config.squash) / self.spread
 
     def from_latent(self, latent: Tensor) -> Tensor:
         """The inverse of `to_latent`."""
         deviation = torch.sinh((latent * self.spread).clamp(-6, 6)) * self.config.squash
-        return deviation + self._straight(latent)
-
-    def _straight(self, like: Tensor) -> Tensor:
-        points = torch.zeros(NUM_WAYPOINTS, self.config.dim, dtype=like.dtype, device=like.device)
-        points[:, 0] = torch.arange(1, NUM_WAYPOINTS + 1) / (NUM_WAYPOINTS + 1)
-        return points
+        return deviation + self.straight
 
     @torch.no_grad()
     def sample(
@@ -303,23 +312,48 @@ class PathDiffuser(nn.Module):
             steps: of the sampler; the configuration's if not given.
         """
         guidance = self.config.guidance if guidance is None else guidance
-        context = self.encode(self.encode_scene(conditions), level)
-        seen, keep = conditions.without_image(), None
-        if guidance:  # with and without conditions in one batch
-            none = torch.zeros_like(level, dtype=torch.bool)
-            scene = self._without_field(conditions)
-            context = torch.cat([context, self.encode(scene, level, none)])
-            keep = torch.cat([~none, none])
-            if len(seen.vector) > 1:
-                seen = seen.map(lambda x: torch.cat([x, x]))
+        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
+        context = self._contexts(conditions, level, guided=bool(guidance))
         weight = guidance * level[:, None, None] ** 4
+        seen, parts = conditions.without_image(), []
+        for first in range(0, len(level), _AT_ONCE):
+            rows = slice(first, first + _AT_ONCE)
+            part = seen if len(seen.vector) == 1 else seen.map(lambda x, rows=rows: x[rows])
+            parts.append(self._denoise(part, context[:, rows], noise[rows], weight[rows], times))
+        return torch.cat(parts)
 
-        def velocity(latent: Tensor, timestep: Tensor) -> Tensor:
-            if keep is None:
-                return self(latent, timestep, context, seen)
-            found = self(latent.repeat(2, 1, 1), timestep.repeat(2), context, seen, keep)
-            guided, free = found.chunk(2)
+    def _contexts(self, conditions: Conditions, level: Tensor, guided: bool) -> Tensor:
+        """`(1, B, E)` from `encode`; guided `(2, B, E)`, what it gives of nothing besides."""
+        size, scene = len(level), self.encode_scene(conditions).expand(len(level), -1)
+        if not guided:
+            return self.encode(scene, level)[None]
+        free = self._without_field(conditions)
+        keep = torch.arange(size + len(free), device=level.device) < size
+        both = self.encode(torch.cat([scene, free]), torch.cat([level, level[: len(free)]]), keep)
+        return torch.stack([both[:size], both[size:].expand(size, -1)])
+
+    def _denoise(
+        self,
+        conditions: Conditions,
+        context: Tensor,
+        noise: Tensor,
+        weight: Tensor,
+        times: Sequence[int],
+    ) -> Tensor:
+        """Waypoints `(B, K, D)` of contexts `(1 or 2, B, E)`, guided by `weight (B, 1, 1)`.
+
+        What modulates the blocks does not depend on the latent: it is computed for all steps first.
+        """
+        moments = self.moments(torch.tensor(times, device=noise.device))[:, None, None]
+        modulations = self.unet.modulations(F.silu(context + moments).flatten(1, 2))
+
+        def velocity(latent: Tensor, i: int) -> Tensor:
+            reading = self._read(latent, conditions)
+            inputs = torch.cat([latent, reading], dim=-1)
+            if len(context) == 2:  # with and without conditions in one batch
+                inputs = torch.cat([inputs, F.pad(latent, (0, reading.shape[-1]))])
+            found = self.unet.modulated(inputs, [(m[0][i], m[1][i]) for m in modulations])
+            guided, free = found[: len(latent)], found[-len(latent) :]
             return guided + weight * (guided - free)
 
-        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
         return self.from_latent(ddim(velocity, noise, self.signal, times))

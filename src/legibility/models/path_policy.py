@@ -126,11 +126,7 @@ class PathPolicy(ActionDenoiser):
         context = self.encode(
             torch.from_numpy(observation.features), torch.from_numpy(observation.has_path)
         )
-        actions = ddim(
-            lambda noisy, timestep: self(noisy, timestep, context),
-            noise,
-            self.signal,
-            sampling_timesteps(len(self.signal), steps or self.config.sampling_steps),
-        )
+        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
+        actions = ddim(self._denoiser(context, times), noise, self.signal, times)
         actions = (actions * self.scale).double().numpy() * self.config.limit
         return actions @ observation.rotation
