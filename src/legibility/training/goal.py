@@ -25,8 +25,8 @@ from .policy import PolicyTrainingConfig, fit, moments
 __all__ = ["GUIDANCE", "train_goal", "tune_guidance", "validate_goal"]
 
 GUIDANCE = {
-    "guidance": (1.0, 2.5, 5.0, 7.5, 10.0, 15.0),
-    "guidance_decay": (0.4, 0.6, 0.8, 0.9, 1.0),
+    "guidance": (2.5, 5.0, 7.5, 10.0, 15.0),
+    "guidance_decay": (0.4, 0.6, 0.9, 0.95, 1.0),
     "guidance_share": (0.5, 0.9, 1.0),
 }
 """The settings that are tried: those of the Legibility Diffuser's authors and their neighbours."""
