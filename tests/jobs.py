@@ -1,34 +1,40 @@
-"""What the workers of tests do; it lies beside the tests, so that their processes can import it."""
+"""What workers of the tests do; it lies where their processes can import it."""
 
 import os
 import signal
-from functools import partial
 from pathlib import Path
 
-
-def square(number):
-    return number**2
+from legibility.shards import shard_bytes
 
 
-def fail_at(bad, number):
-    if number == bad:
-        raise LookupError(f"no {number}")
-    return number**2
+class Job:
+    """The square of a number.
+
+    Args:
+        kills: the number that kills the process that comes to it.
+        note: made by the first that is killed, which is then the only one.
+        fails: the number at which it raises.
+    """
+
+    def __init__(self, kills=None, note: Path | None = None, fails=None):
+        self.kills, self.note, self.fails = kills, note, fails
+
+    def __call__(self, number):
+        if number == self.fails:
+            raise LookupError(f"no {number}")
+        if number == self.kills and not (self.note and self.note.exists()):
+            if self.note:
+                self.note.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number**2
 
 
-def die_once(note: Path, fatal, function, item):
-    """Kill this process, a worker's, the first time that it comes to the item `fatal`."""
-    if item == fatal and not note.exists():
-        note.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return function(item)
+class Shards(Job):
+    """The square as a shard."""
+
+    def __call__(self, number):
+        return shard_bytes([{"square": super().__call__(number)}], {})
 
 
-def die_always(fatal, item):
-    if item == fatal:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return item
-
-
-def dying_once(note: Path, fatal, function):
-    return partial(die_once, note, fatal, function)
+def process(_):
+    return os.getpid()

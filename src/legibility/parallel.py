@@ -11,6 +11,7 @@ import hashlib
 import logging
 import pickle
 import signal
+import socket
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -34,6 +35,9 @@ _DEATHS = 3
 _PATIENCE = 5.0
 """How long a scheduler may take to answer [s]."""
 
+_LOST = 30.0
+"""How long a result that is ready may take to come [s]."""
+
 
 @contextlib.contextmanager
 def pool(workers: int = 1, cluster: str | None = None) -> Iterator[Each]:
@@ -56,7 +60,7 @@ def pool(workers: int = 1, cluster: str | None = None) -> Iterator[Each]:
     if cluster is None:
         yield partial(_in_processes, workers)
         return
-    if cluster != "local" and "://" not in cluster:
+    if cluster != "local" and not cluster.startswith(("tcp://", "tls://")):
         raise InvalidInputError(
             f"cluster must be local or an address such as tcp://host:8786, got {cluster!r}"
         )
@@ -96,24 +100,23 @@ def _in_processes(
 def _dask_client(workers: int, cluster: str) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
+        from distributed.comm.addressing import parse_host_port
     except ImportError as cause:
         raise MissingExtraError(
             "dask is not installed: pip install 'legibility[cluster]'"
         ) from cause
+    address: Any = cluster
     with contextlib.ExitStack() as stack:
-        if cluster == "local":
-            # One thread each: what is measured must not depend on who works beside it.
-            address = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    dashboard_address=None,  # pyright: ignore
-                    silence_logs=logging.CRITICAL + 1,  # it complains of each client that goes
-                )
-            )
-        else:
-            address = cluster
         try:
+            if cluster == "local":
+                # It complains of each client that goes.
+                address = LocalCluster(n_workers=workers, threads_per_worker=1,
+                                       dashboard_address=None,  # pyright: ignore
+                                       silence_logs=logging.CRITICAL + 1)  # fmt: skip
+                stack.enter_context(address)
+            else:  # a client that was never connected could not be closed
+                place = parse_host_port(cluster.partition("://")[2])
+                socket.create_connection(place, _PATIENCE).close()
             client = stack.enter_context(Client(address, timeout=_PATIENCE, set_as_default=False))
         except (OSError, ValueError) as cause:
             raise WorkerError(f"no Dask scheduler answers at {cluster}: {cause}") from cause
@@ -123,20 +126,46 @@ def _dask_client(workers: int, cluster: str) -> Iterator[Any]:
 def _on_dask(
     client: Any, function: Callable[[Any], Any], items: Sequence[Any]
 ) -> Iterator[tuple[int, Any]]:
-    from distributed import CancelledError, KilledWorker, as_completed
+    from distributed import CancelledError, KilledWorker, TimeoutError, WorkerPlugin, as_completed
 
-    # A task and not data that are scattered: it is done again where those who held it have died.
-    sent = client.submit(_same, _Sent(function), pure=False)
-    futures = {client.submit(_numbered, sent, i, x, pure=False) for i, x in enumerate(items)}
-    done = as_completed(futures, loop=client.loop)
-    futures.clear()  # a result is forgotten, here and by the cluster, once it is handed on
+    class Holder(WorkerPlugin):
+        """Hands the function to every worker, those too that come later or anew."""
+
+        def __init__(self, sent: _Sent) -> None:
+            self.sent = sent
+
+        def setup(self, worker: Any) -> None:
+            self.sent.held()
+
+        def teardown(self, worker: Any) -> None:
+            self.sent.drop()
+
+    sent = _Sent(function)
+    numbers: dict[str, int] = {}
+
+    def started(index: int) -> Any:
+        future = client.submit(_held, sent.digest, items[index], pure=False)
+        numbers[future.key] = index
+        return future
+
+    client.register_plugin(Holder(sent), name=sent.digest)
     try:
+        done = as_completed([started(i) for i in range(len(items))], loop=client.loop)
         for future in done:
-            yield future.result()
+            index = numbers.pop(future.key)
+            try:
+                result = future.result(timeout=_LOST)
+            except TimeoutError:  # it died with its worker before it was sent
+                done.add(started(index))
+            else:
+                yield index, result
     except KilledWorker as cause:
         raise WorkerError(_died(cause)) from cause
     except CancelledError as cause:
         raise WorkerError("the Dask scheduler does not answer any more") from cause
+    finally:
+        with contextlib.suppress(Exception):  # there may be nobody any more
+            client.unregister_worker_plugin(sent.digest)
 
 
 def _died(cause: BaseException) -> str:
@@ -155,23 +184,32 @@ class _Sent:
         if threading.current_thread() is threading.main_thread():
             # An interrupt from the keyboard is left to the main process.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        with _LOCK:
-            if self.digest not in _HELD:
-                _HELD.clear()
-                _HELD[self.digest] = pickle.loads(self.content.data)
-            return _HELD[self.digest](item)
+        if self.digest not in _HELD:
+            _HELD.clear()
+        return self.held()(item)
+
+    def held(self) -> Callable[[Any], Any]:
+        """The function, which this process keeps."""
+        if self.digest not in _HELD:
+            _HELD[self.digest] = pickle.loads(self.content.data)
+        return _HELD[self.digest]
+
+    def drop(self) -> None:
+        """Keep it no longer."""
+        _HELD.pop(self.digest, None)
 
 
 _HELD: dict[str, Callable[[Any], Any]] = {}
-"""Of a worker, the function that it was sent last, by its digest."""
+"""Of a worker, the functions that it was sent, by their digests."""
 
 _LOCK = threading.Lock()
 """A worker of several threads has one model, and simulators that are not made for threads."""
 
 
+def _held(digest: str, item: Any) -> Any:
+    with _LOCK:
+        return _HELD[digest](item)
+
+
 def _numbered(function: Callable[[Any], Any], index: int, item: Any) -> tuple[int, Any]:
     return index, function(item)
-
-
-def _same(value: Any) -> Any:
-    return value

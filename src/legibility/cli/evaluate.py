@@ -10,7 +10,7 @@ from tyro.conf import arg
 from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
 from ..evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
 from ..modulator import Modulator
-from .options import MODEL, OutputFile, flags, made
+from .options import MODEL, OutputFile, Workers, flags, made
 from .output import (
     check_figure,
     check_file,
@@ -28,6 +28,7 @@ _Execution = flags(ExecutionConfig)
 
 def dial(
     evaluation: Annotated[Any, arg(constructor=_Flags)],
+    workers: Workers,
     model: str = MODEL,
     figure: OutputFile = None,
     json: OutputFile = None,
@@ -36,6 +37,7 @@ def dial(
 
     Args:
         evaluation: what is measured.
+        workers: who measures it.
         model: name of weights that came with the package, or a folder.
         figure: a picture of asked against achieved, .png, .pdf or .svg.
         json: everything as JSON.
@@ -46,7 +48,7 @@ def dial(
     modulator = Modulator.from_pretrained(model)
     used = model_record(model)
     with progress_bar("scenes") as progress:
-        result = evaluate_dial(modulator, settings, progress=progress)
+        result = evaluate_dial(modulator, settings, **vars(workers), progress=progress)
     if figure is not None:
         from ..evaluation.figures import dial_figure
 
@@ -70,6 +72,7 @@ def dial(
 
 def execution(
     evaluation: Annotated[Any, arg(constructor=_Execution)],
+    workers: Workers,
     model: str = MODEL,
     json: OutputFile = None,
 ) -> None:
@@ -81,6 +84,7 @@ def execution(
 
     Args:
         evaluation: what is measured.
+        workers: who measures it.
         model: name of weights that came with the package, or a folder.
         json: everything as JSON.
     """
@@ -89,7 +93,7 @@ def execution(
     modulator = Modulator.from_pretrained(model)
     used = model_record(model)
     with progress_bar("rollouts") as progress:
-        result = evaluate_execution(modulator, settings, progress=progress)
+        result = evaluate_execution(modulator, settings, **vars(workers), progress=progress)
     write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     rows = table(
         f"{model}, {settings.rollouts} rollouts in {settings.scenes} scenes",

@@ -31,7 +31,7 @@ from ..training import (
     train_policy,
     tune_guidance,
 )
-from .options import Folder, OptionalText, OutputFile, flags, made
+from .options import Folder, OptionalText, OutputFile, Workers, flags, made
 from .output import (
     check_file,
     check_folder,
@@ -56,10 +56,10 @@ _VALIDATION_SCENES = 128
 def path(
     training: Annotated[Any, arg(constructor=_PathTraining)],
     model: Annotated[Any, arg(constructor=_PathModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -72,10 +72,10 @@ def path(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the dataset, made by `legibility data`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved; OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
@@ -100,10 +100,10 @@ def path(
 def policy(
     training: Annotated[Any, arg(constructor=_PolicyTraining)],
     model: Annotated[Any, arg(constructor=_PolicyModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -116,10 +116,10 @@ def policy(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved, beside those of stage 1 if they are there;
             OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
@@ -135,10 +135,10 @@ def policy(
 def diffusion_policy(
     training: Annotated[Any, arg(constructor=_DiffusionPolicyTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -151,10 +151,10 @@ def diffusion_policy(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved; OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
@@ -169,10 +169,10 @@ def diffusion_policy(
 def legibility_diffuser(
     training: Annotated[Any, arg(constructor=_LegibilityDiffuserTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -187,10 +187,10 @@ def legibility_diffuser(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved; OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
@@ -210,7 +210,7 @@ def _train_on_demonstrations(
     data: Path,
     out: Path,
     validation: Path | None,
-    workers: int,
+    workers: Workers,
     weights: Path | None,
     device: str | None,
     json: Path | None,
@@ -302,7 +302,7 @@ def _step_seconds(log: list[dict[str, float]]) -> float:
     return float(np.quantile(seconds / steps, 0.1))
 
 
-def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: int) -> Dataset:
+def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: Workers) -> Dataset:
     """The dataset that a stage is measured on while training, made like the data if not given."""
     if folder is not None:
         return Dataset.load(folder)
@@ -310,7 +310,7 @@ def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: 
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
     config = replace(config, stream="validation", scenes=_VALIDATION_SCENES)
     with progress_bar("shards for validation") as progress:
-        return generate(config, out / "validation", workers=workers, progress=progress)
+        return generate(config, out / "validation", **vars(workers), progress=progress)
 
 
 def _line(step: int, figures: dict[str, float]) -> str:
