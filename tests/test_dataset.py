@@ -113,21 +113,16 @@ class TestSameBytes:
     @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
     def test_after_a_kill_in_the_middle_of_a_shard(self, tiny, tmp_path, small_shards):
         script = """
-import io, os, signal, sys
-from legibility import dataset, shards
+import os, signal, sys
+from legibility import dataset, files, shards
 dataset.SHARD = 4
-whole = shards.pq.write_table
-def half(table, path, **options):
-    if "00001" not in str(written[-1]):
-        return whole(table, path, **options)
-    buffer = io.BytesIO()
-    whole(table, buffer, **options)
-    path.write_bytes(buffer.getvalue()[: len(buffer.getvalue()) // 2])
-    os.kill(os.getpid(), signal.SIGKILL)
-written = []
-atomic = shards.atomic_path
-shards.atomic_path = lambda path: written.append(path) or atomic(path)
-shards.pq.write_table = half
+def half(path, content):
+    if "00001" not in path.name:
+        return files.write_bytes(path, content)
+    with files.atomic_path(path) as temporary:
+        temporary.write_bytes(content[: len(content) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+shards.write_bytes = half
 dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
 """
         folder = tmp_path / "killed"

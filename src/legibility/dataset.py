@@ -23,7 +23,7 @@ from .intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
 from .motion.archive import DEFAULT_CELLS, Archive, build_archive
 from .motion.bezier import bezier_trajectories
 from .scene import DEFAULT_SIGMA, STREAMS, Scene, stream_seed
-from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, write_shard
+from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
 
 __all__ = ["Dataset", "DatasetConfig", "generate", "select"]
 
@@ -200,10 +200,8 @@ def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
     }
 
 
-def _write(config: DatasetConfig, path: Path, number: int) -> None:
-    first = number * SHARD
-    rows = [_row(config, i) for i in range(first, min(first + SHARD, config.scenes))]
-    write_shard(path, rows, config.to_dict())
+def _shard(config: DatasetConfig, scenes: range) -> bytes:
+    return shard_bytes([_row(config, i) for i in scenes], config.to_dict())
 
 
 def generate(
@@ -211,6 +209,7 @@ def generate(
     folder: str | Path,
     *,
     workers: int = 1,
+    cluster: str | None = None,
     progress: ShardProgress = lambda done, total: None,
 ) -> Dataset:
     """Make the dataset in `folder`, or go on with it; the same bytes for any number of workers.
@@ -218,18 +217,25 @@ def generate(
     Args:
         config: what to make.
         folder: where to; made if it is missing.
-        workers: processes.
+        workers: processes on this machine.
+        cluster: address of a Dask scheduler, whose workers work instead; `local` starts a cluster
+            of `workers` processes on this machine.
         progress: called with the shards done and all of them.
 
     Raises:
         DatasetError: the folder holds a dataset of another configuration.
         OutputError: the folder cannot be written.
+        WorkerError: there are no workers, or they die again and again.
     """
     folder = Path(folder)
+
+    def scenes(number: int) -> range:
+        return range(number * SHARD, min((number + 1) * SHARD, config.scenes))
+
     counts = {"scenes": config.scenes, "trajectories": config.scenes * config.per_scene}
     make_shards(
-        folder, _MANIFEST, config.to_dict(), config.shard_names, partial(_write, config), counts,
-        workers=workers, progress=progress,
+        folder, _MANIFEST, config.to_dict(), config.shard_names, partial(_shard, config), counts,
+        source=scenes, workers=workers, cluster=cluster, progress=progress,
     )  # fmt: skip
     return Dataset.load(folder)
 

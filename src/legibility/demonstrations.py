@@ -5,6 +5,7 @@ They lie beside the dataset that they are of, under the same rules, a row a demo
 
 from __future__ import annotations
 
+import io
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,7 @@ from .envs.guard import safe_actions
 from .errors import DatasetError, InvalidInputError
 from .motion.tracking import PathTracker, feedback_action
 from .scene import DEFAULT_WORKSPACE, stream_seed
-from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, write_shard
+from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
 
 __all__ = ["DEMONSTRATIONS", "Demonstrations", "DemonstrationsConfig", "demonstrate"]
 
@@ -152,14 +153,23 @@ def demonstrate(
     config: DemonstrationsConfig,
     *,
     workers: int = 1,
+    cluster: str | None = None,
     progress: ShardProgress = lambda done, total: None,
 ) -> Demonstrations:
     """Demonstrate paths of the dataset in `folder`, or go on; the same bytes for any workers.
+
+    Args:
+        folder: of the dataset.
+        config: what to make.
+        workers: processes on this machine.
+        cluster: a Dask cluster, see `generate`.
+        progress: called with the shards done and all of them.
 
     Raises:
         DatasetError: there is no complete dataset, or there are demonstrations of another
             configuration.
         OutputError: the folder cannot be written.
+        WorkerError: there are no workers, or they die again and again.
     """
     folder = Path(folder)
     dataset, digest, _ = read_shards(folder, "manifest.json", "legibility data")
@@ -175,27 +185,36 @@ def demonstrate(
         "workspace": np.array(DEFAULT_WORKSPACE[source.dim]).tolist(),
     }
     names = [f"demonstrations-{i:05d}.parquet" for i in range(-(-scenes // SHARD))]
-    write = partial(_write, folder, source, config, content, scenes)
-    counts = {"scenes": scenes}
+
+    def first_scenes(number: int) -> tuple[int, int, bytes]:
+        first = number * SHARD
+        shard = (folder / source.shard_names[number]).read_bytes()
+        return first, min(SHARD, scenes - first), shard
+
     make_shards(
-        folder, DEMONSTRATIONS, content, names, write, counts, workers=workers, progress=progress
-    )
+        folder, DEMONSTRATIONS, content, names, partial(_shard, source, config, content),
+        {"scenes": scenes}, source=first_scenes,
+        workers=workers, cluster=cluster, progress=progress,
+    )  # fmt: skip
     return Demonstrations.load(folder)
 
 
-def _write(
-    folder: Path,
+def _shard(
     source: DatasetConfig,
     config: DemonstrationsConfig,
     content: dict[str, Any],
-    scenes: int,
-    path: Path,
-    number: int,
-) -> None:
-    table = pq.read_table(folder / source.shard_names[number])
-    part = Dataset.of_table(source, "", table)
-    first = number * SHARD
-    size = min(SHARD, scenes - first)
+    first_scenes: tuple[int, int, bytes],
+) -> bytes:
+    """Demonstrations in the first scenes of a shard of the dataset.
+
+    Args:
+        source: of the dataset.
+        config: of the demonstrations.
+        content: of their manifest.
+        first_scenes: number of the shard's first scene, how many of its scenes, and the shard.
+    """
+    first, size, shard = first_scenes
+    part = Dataset.of_table(source, "", pq.read_table(io.BytesIO(shard)))
     rngs = [
         np.random.default_rng(stream_seed(source.stream, source.seed, first + i, "demonstration"))
         for i in range(size)
@@ -230,7 +249,7 @@ def _write(
             f"no demonstration in scenes {first} to {first + size - 1} reached its goal; "
             "lower noise or push"
         )
-    write_shard(path, rows, content)
+    return shard_bytes(rows, content)
 
 
 def _roll(

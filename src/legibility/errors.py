@@ -13,6 +13,7 @@ __all__ = [
     "MissingExtraError",
     "OutputError",
     "TrainingError",
+    "WorkerError",
 ]
 
 
@@ -46,3 +47,7 @@ class OutputError(LegibilityError, OSError):
 
 class MissingExtraError(LegibilityError, ImportError):
     """An optional dependency is not installed; the message names the pip command."""
+
+
+class WorkerError(LegibilityError):
+    """Workers cannot be reached, or die again and again."""

@@ -7,9 +7,8 @@ configuration that it was made with, so an interrupted run goes on where it stop
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-import multiprocessing
-import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .checks import count
 from .errors import DatasetError
-from .files import atomic_path, file_hash, read_text, write_json
+from .files import file_hash, read_text, write_bytes, write_json
+from .parallel import pool
 
-__all__ = ["SHARD", "ShardProgress", "flat", "make_shards", "read_shards", "write_shard"]
+__all__ = ["SHARD", "ShardProgress", "flat", "make_shards", "read_shards", "shard_bytes"]
 
 SHARD = 64
 """Scenes in a shard."""
@@ -33,12 +32,13 @@ _FORMAT = 1
 _CONFIG = b"legibility.config"
 
 
-def write_shard(path: Path, rows: Sequence[dict[str, Any]], config: dict[str, Any]) -> None:
-    """Write `rows` to `path` with the configuration that they were made with."""
+def shard_bytes(rows: Sequence[dict[str, Any]], config: dict[str, Any]) -> bytes:
+    """A shard of `rows`, with the configuration that they were made with."""
     columns = {name: pa.array([row[name] for row in rows]) for name in rows[0]}
-    with atomic_path(path) as temporary:
-        table = pa.table(columns).replace_schema_metadata({_CONFIG: _canonical(config)})
-        pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+    table = pa.table(columns).replace_schema_metadata({_CONFIG: _canonical(config)})
+    with io.BytesIO() as buffer:
+        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+        return buffer.getvalue()
 
 
 def make_shards(
@@ -46,10 +46,12 @@ def make_shards(
     manifest: str,
     config: dict[str, Any],
     names: Sequence[str],
-    write: Callable[[Path, int], None],
+    make: Callable[[Any], bytes],
     counts: dict[str, int],
     *,
+    source: Callable[[int], Any] = lambda number: number,
     workers: int = 1,
+    cluster: str | None = None,
     progress: ShardProgress = lambda done, total: None,
 ) -> None:
     """Make the shards that are missing and the manifest.
@@ -59,18 +61,19 @@ def make_shards(
         manifest: its file name.
         config: plain values, all that the bytes depend on besides the code.
         names: of the shards.
-        write: writes shard i to a path; run in other processes.
+        make: a shard's bytes from its source; run in other processes, which send them back to be
+            written here, so that they need not share a folder (a shard is about 1 MB).
         counts: what the manifest shall say there is.
-        workers: processes.
+        source: of shard i, read here; its number if not given.
+        workers: processes on this machine, see `pool`.
+        cluster: see `pool`.
         progress: called with the shards done and all of them.
 
     Raises:
         DatasetError: the folder holds shards of another configuration.
         OutputError: the folder cannot be written.
+        WorkerError: there are no workers, or they die again and again.
     """
-    from joblib import Parallel, delayed
-
-    count("workers", workers)
     if (folder / manifest).exists():
         found = read_manifest(folder, manifest)
         if found["config"] != config:
@@ -84,25 +87,19 @@ def make_shards(
             for name in changed:  # made anew
                 (folder / name).unlink(missing_ok=True)
     content = {"format": _FORMAT, "config": config, "complete": False}
-    write_json(folder / manifest, content)
-    for leftover in folder.glob(".*.parquet"):  # of a run that was killed
-        leftover.unlink()
-    missing = [i for i, name in enumerate(names) if not _is_whole(folder / name, config)]
-    done = len(names) - len(missing)
-    progress(done, len(names))
-    run = Parallel(n_jobs=workers, return_as="generator_unordered")
-    results = run(delayed(_undisturbed)(write, folder / names[i], i) for i in missing)
-    for number, _ in enumerate(results, done + 1):  # pyright: ignore
-        progress(number, len(names))
+    with pool(workers, cluster) as each:
+        write_json(folder / manifest, content)
+        for leftover in folder.glob(".*.parquet"):  # of a run that was killed
+            leftover.unlink()
+        missing = [i for i, name in enumerate(names) if not _is_whole(folder / name, config)]
+        done = len(names) - len(missing)
+        progress(done, len(names))
+        for index, shard in each(make, [source(i) for i in missing]):
+            write_bytes(folder / names[missing[index]], shard)
+            done += 1
+            progress(done, len(names))
     shards = [{"name": n, "sha256": file_hash(folder / n)} for n in names]
     write_json(folder / manifest, {**content, "complete": True, "counts": counts, "shards": shards})
-
-
-def _undisturbed(write: Callable[[Path, int], None], path: Path, number: int) -> None:
-    """Write a shard; in a worker an interrupt from the keyboard is left to the main process."""
-    if multiprocessing.current_process().name != "MainProcess":
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    write(path, number)
 
 
 def read_shards(folder: Path, manifest: str, again: str) -> tuple[dict[str, Any], str, pa.Table]:

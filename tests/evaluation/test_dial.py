@@ -281,6 +281,13 @@ class TestReport:
         assert again["overall"] == found["overall"]
         assert other["scenes"] != found["scenes"]
 
+    def test_the_same_for_any_number_of_workers(self, tiny, found):
+        seen = []
+        again = evaluate_dial(tiny, SMALL, workers=2, progress=lambda *count: seen.append(count))
+        assert again["scenes"] == found["scenes"]
+        assert again["overall"] == found["overall"]
+        assert seen == [(n, 3) for n in range(4)]
+
     def test_samples_of_a_scene_do_not_hang_on_the_number_of_scenes(self, tiny, found):
         fewer = evaluate_dial(tiny, dataclasses.replace(SMALL, scenes=2))
         assert fewer["scenes"] == found["scenes"][:2]

@@ -145,14 +145,24 @@ class TestMeasuresWhatItSays:
         other = evaluate_execution(modulator, dataclasses.replace(SMALL, seed=2))
         assert other["rows"] != found["rows"]
 
-    def test_progress(self, modulator, monkeypatch):
+    def test_progress_and_figures_are_the_same_for_any_number_of_workers(
+        self, modulator, monkeypatch
+    ):
         monkeypatch.setattr(BlockReach2DVector, "at_once", 2)
-        counts = []
-        config = ExecutionConfig(scenes=1, rollouts=3)
-        evaluate_execution(modulator, config, progress=lambda *count: counts.append(count))
-        total = 1 + 3 * len(ROWS)
-        assert counts[-1] == (total, total)
-        assert counts == sorted(counts)
+        config = ExecutionConfig(scenes=1, rollouts=5)
+        total = 1 + 5 * len(ROWS)
+
+        def measured(workers):
+            counts = []
+            found = evaluate_execution(
+                modulator, config, workers=workers, progress=lambda *count: counts.append(count)
+            )
+            assert counts[-1] == (total, total)
+            assert len(counts) == 1 + 3 * len(ROWS)
+            assert counts == sorted(counts)
+            return found["rows"]
+
+        assert measured(1) == measured(2)
 
 
 def test_failures_that_gather_in_a_scene_widen_the_interval():

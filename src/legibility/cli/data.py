@@ -13,7 +13,7 @@ from tyro.conf import arg
 from ..dataset import Dataset, DatasetConfig, generate
 from ..demonstrations import DEMONSTRATIONS, Demonstrations, DemonstrationsConfig, demonstrate
 from ..errors import InvalidInputError
-from .options import Folder, OutputFile, flags, made
+from .options import Folder, OutputFile, Workers, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
 
 _Flags = flags(DatasetConfig)
@@ -25,8 +25,8 @@ _BAR = 40
 def data(
     dataset: Annotated[Any, arg(constructor=_Flags)],
     controller: Annotated[Any, arg(constructor=_Demonstrations)],
+    workers: Workers,
     out: Folder = None,
-    workers: int = 1,
     info: Folder = None,
     figure: OutputFile = None,
     json: OutputFile = None,
@@ -41,8 +41,8 @@ def data(
     Args:
         dataset: what the dataset is made of.
         controller: what the demonstrations are made of.
+        workers: who makes it.
         out: folder of the dataset to make.
-        workers: processes.
         info: folder of a dataset to describe.
         figure: with --info, a picture of one scene's archive and all labels; else DIR/info.png.
         json: the description as JSON.
@@ -61,10 +61,10 @@ def data(
             raise InvalidInputError("what is said of demonstrations needs --demonstrations N")
         check_folder(out, "dataset")
         with progress_bar("shards") as progress:
-            made_or_read = generate(settings, out, workers=workers, progress=progress)
+            made_or_read = generate(settings, out, **vars(workers), progress=progress)
         if shown.demonstrations:
             with progress_bar("shards of demonstrations") as progress:
-                demonstrate(out, shown, workers=workers, progress=progress)
+                demonstrate(out, shown, **vars(workers), progress=progress)
         folder = out
     else:
         assert info is not None

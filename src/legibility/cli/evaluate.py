@@ -26,7 +26,7 @@ from ..evaluation.unseen import UnseenConfig, evaluate_unseen
 from ..models.goal_policy import GoalPolicy
 from ..models.pretrained import load_stages, pretrained_folder
 from ..modulator import Modulator
-from .options import MODEL, MODELS, OptionalText, OutputFile, flags, made
+from .options import MODEL, MODELS, OptionalText, OutputFile, Workers, flags, made
 from .output import (
     check_figure,
     check_file,
@@ -50,6 +50,7 @@ _Ablations = flags(AblationsConfig)
 
 def dial(
     evaluation: Annotated[Any, arg(constructor=_Flags)],
+    workers: Workers,
     model: str = MODEL,
     figure: OutputFile = None,
     json: OutputFile = None,
@@ -58,6 +59,7 @@ def dial(
 
     Args:
         evaluation: what is measured.
+        workers: who measures it.
         model: name of weights that came with the package, or a folder.
         figure: a picture of asked against achieved, .png, .pdf or .svg.
         json: everything as JSON.
@@ -68,7 +70,7 @@ def dial(
     modulator = Modulator.from_pretrained(model)
     used = model_record(model)
     with progress_bar("scenes") as progress:
-        result = evaluate_dial(modulator, settings, progress=progress)
+        result = evaluate_dial(modulator, settings, **vars(workers), progress=progress)
     if figure is not None:
         from ..evaluation.figures import dial_figure
 
@@ -92,6 +94,7 @@ def dial(
 
 def execution(
     evaluation: Annotated[Any, arg(constructor=_Execution)],
+    workers: Workers,
     model: str = MODEL,
     json: OutputFile = None,
 ) -> None:
@@ -103,6 +106,7 @@ def execution(
 
     Args:
         evaluation: what is measured.
+        workers: who measures it.
         model: name of weights that came with the package, or a folder.
         json: everything as JSON.
     """
@@ -111,7 +115,7 @@ def execution(
     modulator = Modulator.from_pretrained(model)
     used = model_record(model)
     with progress_bar("rollouts") as progress:
-        result = evaluate_execution(modulator, settings, progress=progress)
+        result = evaluate_execution(modulator, settings, **vars(workers), progress=progress)
     write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     rows = table(
         f"{model}, {settings.rollouts} rollouts in {settings.scenes} scenes",

@@ -25,6 +25,7 @@ __all__ = [
     "OptionalText",
     "OutputFile",
     "SceneFile",
+    "Workers",
     "flags",
     "levels",
     "made",
@@ -51,6 +52,20 @@ _OPTIONAL: dict[Any, Any] = {
 }  # fmt: skip
 
 Settings = TypeVar("Settings")
+
+
+@dataclasses.dataclass(frozen=True)
+class Workers:
+    """Who does the work; what comes of it is the same for any number of workers.
+
+    Attributes:
+        workers: processes on this machine.
+        cluster: address of a Dask scheduler, tcp://HOST:PORT, whose workers work instead; or local,
+            a Dask cluster of --workers processes on this machine.
+    """
+
+    workers: int = 1
+    cluster: OptionalText = None
 
 
 def levels(entries: Sequence[str]) -> Array:

@@ -31,7 +31,7 @@ from ..training import (
     train_policy,
     tune_guidance,
 )
-from .options import Folder, OptionalText, OutputFile, flags, made
+from .options import Folder, OptionalText, OutputFile, Workers, flags, made
 from .output import (
     check_file,
     check_folder,
@@ -55,10 +55,10 @@ _LegibilityDiffuserTraining = flags(PolicyTrainingConfig, dropout=0.2)
 def path(
     training: Annotated[Any, arg(constructor=_PathTraining)],
     model: Annotated[Any, arg(constructor=_PathModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -71,10 +71,10 @@ def path(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the dataset, made by `legibility data`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved; OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
@@ -99,10 +99,10 @@ def path(
 def policy(
     training: Annotated[Any, arg(constructor=_PolicyTraining)],
     model: Annotated[Any, arg(constructor=_PolicyModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -115,10 +115,10 @@ def policy(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved, beside those of stage 1 if they are there;
             OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
@@ -134,10 +134,10 @@ def policy(
 def diffusion_policy(
     training: Annotated[Any, arg(constructor=_DiffusionPolicyTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -150,10 +150,10 @@ def diffusion_policy(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved; OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
@@ -168,10 +168,10 @@ def diffusion_policy(
 def legibility_diffuser(
     training: Annotated[Any, arg(constructor=_LegibilityDiffuserTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
+    workers: Workers,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
-    workers: int = 1,
     weights: Folder = None,
     device: OptionalText = None,
     json: OutputFile = None,
@@ -186,10 +186,10 @@ def legibility_diffuser(
     Args:
         training: how it is trained.
         model: the network.
+        workers: who makes the validation data.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        workers: processes that make the validation data.
         weights: where the weights are saved; OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
@@ -209,7 +209,7 @@ def _train_on_demonstrations(
     data: Path,
     out: Path,
     validation: Path | None,
-    workers: int,
+    workers: Workers,
     weights: Path | None,
     device: str | None,
     json: Path | None,
@@ -301,7 +301,7 @@ def _step_seconds(log: list[dict[str, float]]) -> float:
     return float(np.quantile(seconds / steps, 0.1))
 
 
-def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: int) -> Dataset:
+def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: Workers) -> Dataset:
     """The dataset that a stage is measured on while training, made like the data if not given."""
     if folder is not None:
         return Dataset.load(folder)
@@ -309,7 +309,7 @@ def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: 
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
     config = config.for_validation()
     with progress_bar("shards for validation") as progress:
-        return generate(config, out / "validation", workers=workers, progress=progress)
+        return generate(config, out / "validation", **vars(workers), progress=progress)
 
 
 def _line(step: int, figures: dict[str, float]) -> str:

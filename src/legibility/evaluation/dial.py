@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
 from ..checks import Array, count
 from ..curves import arc_length
@@ -16,10 +16,11 @@ from ..dataset import DatasetConfig
 from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..modulator import Modulator
-from ..motion.archive import Archive
+from ..parallel import pool
 from ..path import Path
 from ..scene import Scene, stream_seed
 from .statistics import rank_correlation, summary
+from .threads import one_thread
 
 __all__ = ["FIGURES", "DialConfig", "evaluate_dial", "worst"]
 
@@ -104,15 +105,26 @@ def evaluate_dial(
     modulator: Modulator,
     config: DialConfig | None = None,
     *,
+    workers: int = 1,
+    cluster: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """Measure the dial of `modulator` on fresh random scenes.
 
+    The figures are the same for any number of workers; a scene is measured on one thread.
+
+    Args:
+        modulator: what is measured.
+        config: how.
+        workers: processes on this machine.
+        cluster: a Dask cluster, see `pool`.
+        progress: called with the scenes done and all of them.
+
     Returns:
         `overall`: each of `FIGURES` with mean over scenes, 95 % interval, worst and best;
         `scenes`: the same of each scene, its number of goals and what was achieved at each level;
-        `levels`: the levels asked; `plan_ms`: the time of one plan on one core; `env`, of a closed
-        loop: where.
+        `levels`: the levels asked; `plan_ms`: the time of one plan on one core of this machine,
+        before there is other work; `env`, of a closed loop: where.
     """
     config = config or DialConfig()
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
@@ -127,16 +139,17 @@ def evaluate_dial(
         alpha=modulator.config.alpha,
     )
     levels = np.round(np.linspace(-1, 1, config.levels), 12)
-    plan_ms = plan_milliseconds(
-        modulator, source.scene(0)[0], guidance=config.guidance, steps=config.steps
-    )
-    rows = []
-    progress(0, config.scenes)
-    for index in range(config.scenes):
-        scene, archive = source.scene(index)
-        rows.append({"scene": index, "goals": scene.num_goals,
-                     **_measure(modulator, scene, archive, levels, index, config)})  # fmt: skip
-        progress(index + 1, config.scenes)
+    measure = partial(_measure, modulator, source, levels, config)
+    found: dict[int, dict[str, Any]] = {}
+    with pool(workers, cluster) as each:
+        plan_ms = plan_milliseconds(
+            modulator, source.scene(0)[0], guidance=config.guidance, steps=config.steps
+        )
+        progress(0, config.scenes)
+        for index, row in each(measure, range(config.scenes)):
+            found[index] = row
+            progress(len(found), config.scenes)
+    rows = [found[index] for index in range(config.scenes)]
     names = [name for name in FIGURES if name in rows[0]]
     world = {"env": kind.__name__.removesuffix("Vector")} if kind else {}
     return {
@@ -148,14 +161,11 @@ def evaluate_dial(
     }
 
 
+@one_thread()
 def _measure(
-    modulator: Modulator,
-    scene: Scene,
-    archive: Archive,
-    levels: Array,
-    index: int,
-    config: DialConfig,
+    modulator: Modulator, source: DatasetConfig, levels: Array, config: DialConfig, index: int
 ) -> dict[str, Any]:
+    scene, archive = source.scene(index)
     options: dict[str, Any] = {"guidance": config.guidance, "steps": config.steps}
     draw = stream_seed("evaluation", config.seed, index, "plan")
     seed = int(draw.generate_state(1, np.uint64)[0] >> 2)
@@ -197,7 +207,8 @@ def _measure(
         "error_by_level": np.abs(table - levels[:, None]).mean(axis=1),
         "drawn_inside_by_level": 1 - path.clipped.reshape(table.shape).mean(axis=1),
     }
-    return {**figures, **{name: values.tolist() for name, values in by_level.items()}}
+    listed = {name: values.tolist() for name, values in by_level.items()}
+    return {"scene": index, "goals": scene.num_goals, **figures, **listed}
 
 
 def _executed(
@@ -225,18 +236,14 @@ def _executed(
     return score, np.stack([r.trajectory(200) for r in rollouts]), figures
 
 
+@one_thread()
 def plan_milliseconds(
     modulator: Modulator, scene: Scene, repeats: int = 200, **options: Any
 ) -> float:
     """Median time [ms] of one plan on one core, after a warm-up."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        times = []
-        for seed in range(repeats + 5):
-            start = time.perf_counter()
-            modulator.plan(scene, 0, 0.5, seed=seed, **options)
-            times.append(time.perf_counter() - start)
-    finally:
-        torch.set_num_threads(threads)
+    times = []
+    for seed in range(repeats + 5):
+        start = time.perf_counter()
+        modulator.plan(scene, 0, 0.5, seed=seed, **options)
+        times.append(time.perf_counter() - start)
     return float(np.median(times[5:]) * 1e3)

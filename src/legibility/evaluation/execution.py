@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ..checks import Array, bounded, count
@@ -21,9 +21,11 @@ from ..execution import Driver, Feedback, Policy, Replay, Rollout
 from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..motion.tracking import NOMINAL_GAIN, PathTracker
+from ..parallel import pool
 from ..path import Path
 from ..scene import Scene, stream_seed
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
+from .threads import one_thread
 
 __all__ = ["ROWS", "ExecutionConfig", "evaluate_execution"]
 
@@ -93,11 +95,21 @@ def evaluate_execution(
     modulator: Modulator,
     config: ExecutionConfig | None = None,
     *,
+    workers: int = 1,
+    cluster: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """Execute plans of `modulator` by stage 2 and by what it is compared with.
 
-    Every row of `ROWS` has the same scenes, levels, plans, hidden gains, lags and disturbances.
+    Every row of `ROWS` has the same scenes, levels, plans, hidden gains, lags and disturbances. Its
+    figures are the same for any number of workers, each of which works on one thread.
+
+    Args:
+        modulator: what is measured.
+        config: how.
+        workers: processes on this machine.
+        cluster: a Dask cluster, see `pool`.
+        progress: called with the scenes and rollouts done and all of them.
 
     Returns:
         `rows`: of each of `ROWS` its success with interval, the reasons of the ends, what was
@@ -105,8 +117,9 @@ def evaluate_execution(
         moved, as its label would be another scene's), the deviation from the curve that was
         followed at the time over the length of the first, violations, what else was counted;
         `step_ms`: a control step of one robot on one core, policy included, amortised over a chunk;
-        `rollouts_per_second`: of stage 2, planning included, `at_once` robots on `threads` threads;
-        `env_steps_per_second`: of the environment alone, as many robots, on one core;
+        `rollouts_per_second`: of stage 2, planning included, the first `at_once` robots on
+        `threads` threads; `env_steps_per_second`: of the environment alone, as many robots, on one
+        core; these three of this machine, before there is other work;
         `env`, `disturbance`: where, and of how many metres.
     """
     config = config or ExecutionConfig()
@@ -126,66 +139,119 @@ def evaluate_execution(
             f"{kind.max_displacement} m"
         )
     disturbance = _DISTURBANCE * limit if config.disturbance is None else config.disturbance
-    step_ms = step_milliseconds(modulator, source.scene(0)[0], kind)
     at_once = min(kind.at_once, config.rollouts)
-    env_speed = env_steps_per_second(kind, at_once)
-    scenes: list[Scene] = []
-    archives: list[Archive] = []
-    total = config.scenes + len(ROWS) * config.rollouts
-    for index in range(config.scenes):
-        scene, archive = source.scene(index)
-        scenes.append(scene)
-        archives.append(archive)
-        progress(index + 1, total)
-    most = max(6, config.goals[1])
+    batches = range(0, config.rollouts, at_once)
     each = np.repeat(np.arange(config.scenes), config.rollouts // config.scenes)
     draw = stream_seed("evaluation", config.seed, 0, "plan")
     levels = np.random.default_rng(draw).uniform(-1, 1, config.rollouts)
-    drivers: dict[str, Callable[[int], Driver]] = {
-        "policy": lambda seed: Policy(policy, seed),
-        "goal only": lambda seed: Policy(policy, seed, with_path=False),
-        "open loop": lambda seed: _OpenLoop(policy.config.limit, 1.0),
-        "mean gain": lambda seed: _OpenLoop(policy.config.limit, NOMINAL_GAIN),
-        "feedback": lambda seed: Feedback(),
-    }
-    rows, speed = {}, 0.0
-    plans: dict[int, list[Path]] = {}  # of the first row, for all of them
-    done = config.scenes
-    for name, row in ROWS.items():
-        options = {row.disturbance: disturbance} if row.disturbance else {}
-        rollouts: list[Rollout] = []
+    total, done = config.scenes + len(ROWS) * config.rollouts, 0
+    archives: dict[int, Archive] = {}
+    parts: dict[str, dict[int, list[Rollout]]] = {name: {} for name in ROWS}
+    rows: dict[str, dict[str, Any]] = {}
+
+    def ended(task: _Task, rollouts: list[Rollout]) -> None:
+        nonlocal done
+        found = parts[task.row]
+        found[task.first] = rollouts
+        done += len(rollouts)
+        progress(done, total)
+        if len(found) == len(batches):
+            whole = [rollout for first in batches for rollout in found.pop(first)]
+            rows[task.row] = _figures(whole, levels, each, archives, limit)
+
+    with pool(workers, cluster) as work:
+        step_ms = step_milliseconds(modulator, source.scene(0)[0], kind)
+        env_speed = env_steps_per_second(kind, at_once)
+        for index, archive in work(partial(_scores_of, source), range(config.scenes)):
+            archives[index] = archive
+            done += 1
+            progress(done, total)
+        scenes = [archives[i].scene for i in each.tolist()]
+        course = _Course(modulator, config, kind, disturbance, scenes, levels, at_once)
+        # The plans of the first row are those of all.
+        name, *others = ROWS
+        tasks = [_Task(name, first) for first in batches]
         started = time.perf_counter()
-        for first in range(0, config.rollouts, at_once):
-            part = slice(first, first + at_once)
-            plan_seed, policy_seed, env_seed = _seeds(config.seed, first)
-            env = kind(len(each[part]), max_goals=most)
-            env.reset(seed=env_seed, options={"scene": [scenes[i] for i in each[part]], **options})
-            found = modulator.execute(
-                env, legibility=levels[part], seed=plan_seed, path=plans.get(first),
-                driver=drivers[row.driver](policy_seed), replan=row.replan,
-            )  # fmt: skip
-            assert isinstance(found, list)
-            env.close()
-            plans.setdefault(first, [rollout.path for rollout in found])
-            rollouts += found
-            progress(done + len(rollouts), total)
-        if name == "policy":
-            speed = config.rollouts / (time.perf_counter() - started)
-        done += config.rollouts
-        rows[name] = _figures(rollouts, levels, each, archives, limit)
+        found = course.rollouts(tasks[0])
+        speed = len(found) / (time.perf_counter() - started)
+        plans = {0: [rollout.path for rollout in found]}
+        ended(tasks.pop(0), found)
+        for index, found in work(course.rollouts, tasks):
+            plans[tasks[index].first] = [rollout.path for rollout in found]
+            ended(tasks[index], found)
+        tasks = [_Task(name, first, plans[first]) for name in others for first in batches]
+        for index, found in work(course.rollouts, tasks):
+            ended(tasks[index], found)
+    for name, row in ROWS.items():
         if row.disturbance == "shift":
             for figure in ("spearman", "error", "within_5_cm"):
                 del rows[name][figure]
     return {
-        "rows": rows,
+        "rows": {name: rows[name] for name in ROWS},
         "step_ms": step_ms,
         "rollouts_per_second": speed,
         "at_once": at_once,
         "env_steps_per_second": env_speed,
         "env": kind.__name__.removesuffix("Vector"),
         "disturbance": disturbance,
-        "threads": torch.get_num_threads(),
+        "threads": 1,
     }
+
+
+def _scores_of(source: DatasetConfig, index: int) -> Archive:
+    """A scene's archive without its curves, which are large; labels are read off the scores."""
+    _, archive = source.scene(index)
+    nothing = np.empty(0)
+    return replace(archive, controls=nothing, trajectories=nothing, descriptors=nothing)
+
+
+class _Task(NamedTuple):
+    """Rollouts of a row, from the first of them on, `at_once`; on plans, or planned."""
+
+    row: str
+    first: int
+    paths: list[Path] | None = None
+
+
+@dataclass(frozen=True)
+class _Course:
+    """What all rows have in common: the scene and the level of each rollout, and who executes."""
+
+    modulator: Modulator
+    config: ExecutionConfig
+    kind: type[BlockReachVector]
+    disturbance: float
+    scenes: list[Scene]
+    levels: Array
+    at_once: int
+
+    @one_thread()
+    def rollouts(self, task: _Task) -> list[Rollout]:
+        row, part = ROWS[task.row], slice(task.first, task.first + self.at_once)
+        plan_seed, policy_seed, env_seed = _seeds(self.config.seed, task.first)
+        scenes = self.scenes[part]
+        env = self.kind(len(scenes), max_goals=max(6, self.config.goals[1]))
+        options = {row.disturbance: self.disturbance} if row.disturbance else {}
+        env.reset(seed=env_seed, options={"scene": scenes, **options})
+        found = self.modulator.execute(
+            env, legibility=self.levels[part], seed=plan_seed, path=task.paths,
+            driver=self._driver(row.driver, policy_seed), replan=row.replan,
+        )  # fmt: skip
+        assert isinstance(found, list)
+        env.close()
+        return found
+
+    def _driver(self, name: str, seed: int) -> Driver:
+        policy = self.modulator.path_policy
+        assert policy is not None
+        drivers: dict[str, Callable[[], Driver]] = {
+            "policy": lambda: Policy(policy, seed),
+            "goal only": lambda: Policy(policy, seed, with_path=False),
+            "open loop": lambda: _OpenLoop(policy.config.limit, 1.0),
+            "mean gain": lambda: _OpenLoop(policy.config.limit, NOMINAL_GAIN),
+            "feedback": Feedback,
+        }
+        return drivers[name]()
 
 
 class _OpenLoop(Replay):
@@ -215,12 +281,12 @@ def _figures(
     rollouts: list[Rollout],
     levels: Array,
     each: NDArray[np.intp],
-    archives: list[Archive],
+    archives: dict[int, Archive],
     limit: float,
 ) -> dict[str, Any]:
     success = np.array([r.success for r in rollouts])
     achieved, planned = (
-        np.array([archives[i].label_of(x) for i, x in zip(each, scores, strict=True)])
+        np.array([archives[i].label_of(x) for i, x in zip(each.tolist(), scores, strict=True)])
         for scores in ([r.score for r in rollouts], [float(r.path.score) for r in rollouts])
     )
     own = [each == i for i in range(len(archives))]
@@ -268,24 +334,20 @@ def _seeds(seed: int, first: int) -> list[int]:
     return [int(word >> 2) for word in draw.generate_state(3, np.uint64)]
 
 
+@one_thread()
 def step_milliseconds(
     modulator: Modulator, scene: Scene, kind: type[BlockReachVector], repeats: int = 5
 ) -> float:
     """Median time [ms] of one control step of one robot on one core, everything but planning."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        times = []
-        for seed in range(repeats + 1):
-            env = kind(1, max_goals=max(6, scene.num_goals))
-            env.reset(seed=seed, options={"scene": scene})
-            path = modulator.plan(scene, 0, 0.5, seed=seed)
-            start = time.perf_counter()
-            found = modulator.execute(env, legibility=0.5, seed=seed, path=path)
-            assert isinstance(found, list)
-            times.append((time.perf_counter() - start) / len(found[0].actions))
-    finally:
-        torch.set_num_threads(threads)
+    times = []
+    for seed in range(repeats + 1):
+        env = kind(1, max_goals=max(6, scene.num_goals))
+        env.reset(seed=seed, options={"scene": scene})
+        path = modulator.plan(scene, 0, 0.5, seed=seed)
+        start = time.perf_counter()
+        found = modulator.execute(env, legibility=0.5, seed=seed, path=path)
+        assert isinstance(found, list)
+        times.append((time.perf_counter() - start) / len(found[0].actions))
     return float(np.median(times[1:]) * 1e3)
 
 
