@@ -214,9 +214,31 @@ class TestCandidates:
         errors = np.abs(single.achieved - single.legibility).reshape(len(LEVELS), num)
         np.testing.assert_allclose(np.abs(best.achieved - LEVELS), errors.min(1), atol=1e-12)
         assert (errors.min(1) < errors.mean(1)).all()
-        rows = np.arange(len(LEVELS)) * num + errors.argmin(1)
+        nearest = errors.argmin(1)
+        scores = single.score.reshape(errors.shape)
+        ends = np.abs(LEVELS) == 1  # where labels are clipped the most extreme one is taken
+        nearest[ends] = (np.sign(LEVELS)[:, None] * scores).argmax(1)[ends]
+        rows = np.arange(len(LEVELS)) * num + nearest
         np.testing.assert_array_equal(best.waypoints, single.waypoints[rows])
         np.testing.assert_array_equal(best.clipped, single.clipped[rows])
+
+    def test_at_the_ends_no_archive_is_needed(self, scene, monkeypatch):
+        modulator = make(scene.dim)
+        monkeypatch.setattr(modulator, "archive", lambda *_: pytest.fail("an archive was built"))
+        found = modulator.plan(scene, 0, [-1, 1, 1], seed=4, num_candidates=5)
+        assert found.score[0] < found.score[1:].min()
+
+    def test_many_scenes_each_have_their_candidates(self, modulator, scene):
+        scenes, levels = [scene, scene], [1.0, -1.0]
+        found = modulator.plan_many(scenes, [0, 1], levels, seed=3, num_candidates=8)
+        assert [p.target for p in found] == [0, 1]
+        again = modulator.plan_many(scenes, [0, 1], levels, seed=3, num_candidates=8)
+        one = modulator.plan_many(scenes, [0, 1], levels, seed=3)
+        for best, same, single in zip(found, again, one, strict=True):
+            np.testing.assert_array_equal(best.waypoints, same.waypoints)
+            assert best.waypoints.shape == single.waypoints.shape == (10, scene.dim)
+        with pytest.raises(InvalidInputError, match="num_candidates"):
+            modulator.plan_many(scenes, [0, 1], levels, num_candidates=0)
 
     def test_one_candidate_is_the_plain_plan(self, modulator, scene):
         np.testing.assert_array_equal(

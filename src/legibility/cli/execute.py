@@ -27,6 +27,7 @@ def execute(
     model: OptionalText = None,
     env: OptionalText = None,
     seed: int = 0,
+    candidates: int = 1,
     noise: float = 0.0,
     push: float = 0.0,
     shift: float = 0.0,
@@ -48,6 +49,7 @@ def execute(
         env: 2d, panda (MuJoCo) or pandagym; 2d or panda, by the scene, if not given. MuJoCo draws
             the pictures of either arm.
         seed: of the paths and actions drawn and of the environment's hidden properties.
+        candidates: paths drawn for each level; the one nearest to what was asked is kept.
         noise: standard deviation of each step's displacement [m].
         push: the robot is pushed by so much [m] on its way.
         shift: the target is moved by so much [m] on the way.
@@ -93,7 +95,9 @@ def execute(
     options = {"noise": noise, "push": push, "shift": shift}
     # The same hidden properties and disturbance in each, so that ℓ alone makes the difference.
     robots.reset(seed=[seed] * len(asked), options={"scene": place, "target": target, **options})
-    rollouts = modulator.execute(robots, legibility=asked, seed=seed, replan=replan)
+    rollouts = modulator.execute(
+        robots, legibility=asked, seed=seed, replan=replan, num_candidates=candidates
+    )
     assert isinstance(rollouts, list)
     robots.close()
 
@@ -145,6 +149,7 @@ def execute(
         "target": target,
         "legibility": asked,
         "replan": replan,
+        "candidates": candidates,
         **options,
     }
     first = rollouts[0].path

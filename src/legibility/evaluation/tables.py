@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from itertools import pairwise
 from typing import Any
 
 from .comparison import CANDIDATES, METHODS, METRICS, TESTED
@@ -147,9 +148,10 @@ def spectrum_section(document: dict[str, Any]) -> str:
     parts = []
     for letter, own in result["targets"].items():
         means = own["mean"]
-        falls = "falls at every level" if not own["rising"] else (
-            f"rises at {own['rising']} of {len(means) - 1} levels"
-        )  # fmt: skip
+        falls = "falls at every level"
+        if own["rising"]:
+            most = max(after / before - 1 for before, after in pairwise(means))
+            falls = f"rises at {own['rising']} of {len(means) - 1} levels, by at most {most:.2%}"
         parts.append(
             f"toward {letter} it {falls}, from {_short(means[0])} to {_short(means[-1])}, with "
             f"{own['success']:.0%} success"
