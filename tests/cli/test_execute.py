@@ -44,7 +44,7 @@ def test_report(executed):
     assert content["seed"] == 4
     assert content["config"] == {
         "env": "BlockReach2D", "target": 1, "legibility": [-1, 0, 1], "replan": True,
-        "noise": 0.001, "push": 0.1, "shift": 0,
+        "candidates": 1, "noise": 0.001, "push": 0.1, "shift": 0,
     }  # fmt: skip
     result = content["result"]
     scene = lg.Scene.from_dict(result["scene"])
