@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing import resource_tracker
 from typing import Any
 
 import numpy as np
@@ -109,10 +110,11 @@ def _dask_client(workers: int, cluster: str) -> Iterator[Any]:
     with contextlib.ExitStack() as stack:
         try:
             if cluster == "local":
-                # It complains of each client that goes.
-                address = LocalCluster(n_workers=workers, threads_per_worker=1,
-                                       dashboard_address=None,  # pyright: ignore
-                                       silence_logs=logging.CRITICAL + 1)  # fmt: skip
+                with _interrupts_held_back():
+                    # It complains of each client that goes.
+                    address = LocalCluster(n_workers=workers, threads_per_worker=1,
+                                           dashboard_address=None,  # pyright: ignore
+                                           silence_logs=logging.CRITICAL + 1)  # fmt: skip
                 stack.enter_context(address)
             else:  # a client that was never connected could not be closed
                 place = parse_host_port(cluster.partition("://")[2])
@@ -121,6 +123,20 @@ def _dask_client(workers: int, cluster: str) -> Iterator[Any]:
         except (OSError, ValueError) as cause:
             raise WorkerError(f"no Dask scheduler answers at {cluster}: {cause}") from cause
         yield client
+
+
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """What is started within, threads and processes, never sees an interrupt from the keyboard."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # else the first process would start it, which lets them in
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _on_dask(

@@ -111,6 +111,23 @@ class TestWhatTheNetworkSees:
         assert vector.shape == (vector_size(dim),)
         assert image.dtype == vector.dtype == np.float32
 
+    @given(seeds, dims, st.integers(2, 6), st.floats(0.03, 0.5))
+    def test_image_is_that_of_the_field_and_the_walls(self, seed, dim, goals, sigma):
+        scene = random_scene(seed, dim, goals)
+        field, frame = field_of(scene, sigma), Frame.of(scene, 1)
+        sizes = (8, 8, DEPTH)[:dim]
+        axes = [
+            low + (np.arange(size) + 0.5) / size * (high - low)
+            for (low, high), size in zip(WINDOW[:dim], sizes, strict=True)
+        ]
+        points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
+        points = frame.frame_to_world(points)
+        potential, (low, high) = field.potential(points, 1), scene.workspace
+        wall = np.minimum(points - low, high - points).min(axis=-1) / frame.scale
+        expected = [np.exp(-potential), np.log1p(potential) / 2, np.tanh(2 * wall)]
+        image = scene_image(scene, 1, field, 8).reshape(3, *sizes[::-1])
+        np.testing.assert_allclose(image, expected, atol=1e-6)
+
     @given(seeds, dims)
     def test_finite_and_about_unit_scale(self, seed, dim):
         scene = random_scene(seed, dim, 6)

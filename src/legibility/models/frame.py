@@ -44,11 +44,13 @@ class Frame:
     scale: float
 
     @classmethod
+    @functools.lru_cache(maxsize=64)  # a plan asks for it five times
     def of(cls, scene: Scene, target: int) -> Frame:
         """The frame of `scene` for goal `target`."""
         offset = scene.target(target) - scene.start
         scale = float(np.linalg.norm(offset))
         rotation = axes_along(offset)
+        rotation.setflags(write=False)
         return cls(scene.start, rotation, scale)
 
     def world_to_frame(self, points: np.ndarray) -> np.ndarray:
