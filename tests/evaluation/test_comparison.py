@@ -35,6 +35,7 @@ from legibility.evaluation.unseen import UnseenConfig, evaluate_unseen
 from legibility.models.diffusion import noise_schedule
 from legibility.models.goal_policy import GoalPolicy, GoalPolicyConfig
 from legibility.modulator import Modulator
+from legibility.parallel import pool
 
 GUIDED = [name for name, method in METHODS.items() if method.guided]
 KIND = vector_type("2d", 2)
@@ -127,13 +128,13 @@ class TestContest:
             return execute(env, **options)
 
         monkeypatch.setattr(modulator, "execute", spy)
-        for name in METHODS:
-            found = contest.rollouts(name, jobs, [archive] * 3)
-            assert len(found) == 3
-            for rollout in found:
-                assert np.isfinite(rollout.states).all()
-                assert np.abs(rollout.actions).max() <= KIND.max_displacement
-                assert rollout.legibility == 1.0
+        with pool() as each:
+            found = contest.motions([(name, jobs, [archive] * 3) for name in METHODS], each)
+        assert [len(motions) for motions in found] == [3] * len(METHODS)
+        for motions in found:
+            for motion in motions:
+                assert np.isfinite(motion.states).all()
+                assert scene.contains(motion.states, 1e-9).all()
         for other in gains[1:]:
             np.testing.assert_array_equal(gains[0], other)
 
@@ -202,9 +203,9 @@ class TestTable1:
         assert ours["achieved"]["mean"] > 0.8
         assert result["oracle"]["R"]["achieved"] == pytest.approx(1, abs=1e-3)
 
-    def test_repeats_itself(self, table1, modulator, policies):
+    def test_two_workers_find_the_same(self, table1, modulator, policies):
         config, result = table1
-        again = evaluate_table1(modulator, policies, config)
+        again = evaluate_table1(modulator, policies, config, workers=2)
         for name, method in result["methods"].items():
             assert again["methods"][name]["targets"] == method["targets"]
         assert again["tests"] == result["tests"]

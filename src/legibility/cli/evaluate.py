@@ -153,6 +153,7 @@ def execution(
 
 def table1(
     evaluation: Annotated[Any, arg(constructor=_Table1)],
+    workers: Workers,
     model: OptionalText = None,
     diffusion_policy: OptionalText = None,
     legibility_diffuser: OptionalText = None,
@@ -166,6 +167,7 @@ def table1(
 
     Args:
         evaluation: what is evaluated.
+        workers: who executes it.
         model: weights of the modulator, a name or a folder; those of the environment's dimension if
             not given.
         diffusion_policy: weights of that baseline, likewise.
@@ -178,7 +180,7 @@ def table1(
         settings.env, model, diffusion_policy, legibility_diffuser
     )
     with progress_bar("rollouts") as progress:
-        result = evaluate_table1(modulator, policies, settings, progress=progress)
+        result = evaluate_table1(modulator, policies, settings, **vars(workers), progress=progress)
     write_report(
         json, seed=settings.seed, config=asdict(settings), model=used, baselines=others,
         result=result,
@@ -211,6 +213,7 @@ def table1(
 
 def unseen(
     evaluation: Annotated[Any, arg(constructor=_Unseen)],
+    workers: Workers,
     model: OptionalText = None,
     diffusion_policy: OptionalText = None,
     legibility_diffuser: OptionalText = None,
@@ -220,6 +223,7 @@ def unseen(
 
     Args:
         evaluation: what is evaluated.
+        workers: who executes it.
         model: weights of the modulator, a name or a folder; those of the environment's dimension if
             not given.
         diffusion_policy: weights of that baseline, likewise.
@@ -232,7 +236,7 @@ def unseen(
         settings.env, model, diffusion_policy, legibility_diffuser
     )
     with progress_bar("rollouts") as progress:
-        result = evaluate_unseen(modulator, policies, settings, progress=progress)
+        result = evaluate_unseen(modulator, policies, settings, **vars(workers), progress=progress)
     write_report(
         json, seed=settings.seed, config=asdict(settings), model=used, baselines=others,
         result=result,

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ..baselines.guided import GuidedPolicy
@@ -30,9 +28,11 @@ from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..motion.tracking import PathTracker
+from ..parallel import Each
 from ..path import Path
 from ..scene import Scene
 from .statistics import CONFIDENT, holm, paired_test
+from .threads import one_thread
 
 __all__ = [
     "CANDIDATES",
@@ -42,6 +42,7 @@ __all__ = [
     "Contest",
     "Job",
     "Metric",
+    "Motion",
     "compare",
     "measured",
 ]
@@ -110,6 +111,14 @@ class Job(NamedTuple):
     plan_seed: int
 
 
+class Motion(NamedTuple):
+    """An executed motion: its states `(T, D)` [m], whether it reached the goal, why it ended."""
+
+    states: Array
+    success: bool
+    reason: str
+
+
 def measured(states: Array, scene: Scene, archive: Archive, spacing: float) -> dict[str, float]:
     """`METRICS` of one motion `(T, D)` [m], its points a control step apart.
 
@@ -175,7 +184,7 @@ class Contest:
         times that, on one core.
         """
         if self.sizes is None:
-            with _one_thread():
+            with one_thread():
                 job, times = [Job(scene, target, 1.0, 0, 0)], []
                 for _ in range(_REPEATS):
                     started = time.perf_counter()
@@ -195,7 +204,7 @@ class Contest:
         and the oracle's archive is given.
         """
         found = {}
-        with _one_thread():
+        with one_thread():
             for name in METHODS:
                 if name != "oracle":
                     times = [self._timed(name, scene, target, seed) for seed in range(6)][1:]
@@ -243,21 +252,45 @@ class Contest:
             ]
         return [straight_path(job.scene, job.target, job.level, **self.observer) for job in jobs]
 
-    def rollouts(
+    def motions(
         self,
-        name: str,
-        jobs: Sequence[Job],
-        archives: Sequence[Archive],
-        progress: Callable[[int], None] = lambda done: None,
-    ) -> list[Rollout]:
-        """One executed motion of a method for each of `jobs`, as many at once as fit."""
-        found: list[Rollout] = []
-        for first in range(0, len(jobs), self.kind.at_once):
-            part = jobs[first : first + self.kind.at_once]
-            paths = self.paths(name, part, archives[first : first + len(part)])
-            found += self._execute(part, paths, self._driver(name, part, part[0].plan_seed))
-            progress(len(found))
-        return found
+        work: Sequence[tuple[str, Sequence[Job], Sequence[Archive]]],
+        each: Each,
+        progress: Callable[[int, int], None] = lambda done, total: None,
+    ) -> list[list[Motion]]:
+        """Execute the jobs of every method in `work`, as many at once as fit.
+
+        Args:
+            work: methods, their jobs, and the archives of the jobs' scenes, which the oracle sees.
+            each: of `pool`.
+            progress: called with the motions done and all of them.
+        """
+        items: list[tuple[str, Sequence[Job], list[Path] | None]] = []
+        places = []
+        for number, (name, jobs, archives) in enumerate(work):
+            # Archives are large: the oracle looks its paths up before anything is sent.
+            paths = self.paths(name, jobs, archives) if name == "oracle" else None
+            for first in range(0, len(jobs), self.kind.at_once):
+                part = slice(first, first + self.kind.at_once)
+                items.append((name, jobs[part], paths and paths[part]))
+                places.append(number)
+        done, total = 0, sum(len(jobs) for _, jobs, _ in work)
+        parts: dict[int, list[Motion]] = {}
+        for index, found in each(self._moved, items):
+            parts[index] = found
+            done += len(found)
+            progress(done, total)
+        motions: list[list[Motion]] = [[] for _ in work]
+        for index, number in enumerate(places):
+            motions[number] += parts[index]
+        return motions
+
+    @one_thread()
+    def _moved(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
+        name, jobs, paths = item
+        paths = paths or self.paths(name, jobs, [])
+        rollouts = self._execute(jobs, paths, self._driver(name, jobs, jobs[0].plan_seed))
+        return [Motion(r.states, r.success, r.reason) for r in rollouts]
 
     def _driver(self, name: str, jobs: Sequence[Job], seed: int) -> Driver:
         if not METHODS[name].guided:
@@ -300,16 +333,6 @@ class _Stopwatch:
         found = self.driver(rows, positions, previous, goals, tracker)
         self.times.append(time.perf_counter() - started)
         return found
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def compare(cells: dict[str, dict[str, Array]]) -> list[dict[str, Any]]:

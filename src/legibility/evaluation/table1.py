@@ -16,8 +16,9 @@ from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
+from ..parallel import pool
 from ..scene import Scene, stream_seed
-from .comparison import METHODS, METRICS, TESTED, Contest, Job, compare, measured
+from .comparison import METHODS, METRICS, TESTED, Contest, Job, Motion, compare, measured
 from .statistics import bootstrap_interval, share_interval
 
 __all__ = ["SCENES", "TARGETS", "Table1Config", "evaluate_table1", "paper_rows"]
@@ -79,11 +80,22 @@ def evaluate_table1(
     policies: dict[str, GoalPolicy],
     config: Table1Config | None = None,
     *,
+    workers: int = 1,
+    cluster: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """Execute every method with ℓ = 1 in the table's scene, toward R and toward G.
 
-    Rollouts are paired: the n-th of each method has the same robot and the same seeds.
+    Rollouts are paired: the n-th of each method has the same robot and the same seeds. The figures
+    are the same for any number of workers.
+
+    Args:
+        modulator: both stages.
+        policies: the baselines by the name of their method.
+        config: how.
+        workers: processes on this machine.
+        cluster: a Dask cluster, see `pool`.
+        progress: called with the motions done and all of them.
 
     Returns:
         `methods`: of each its time per plan and, toward either target, success with interval, the
@@ -99,52 +111,33 @@ def evaluate_table1(
     contest = Contest(modulator, policies, kind, (size, 10 * size) if size else None)
     contest.calibrate(place.scene, TARGETS["R"])
     times = contest.times(place.scene, TARGETS["R"])
-    total = len(METHODS) * len(TARGETS) * config.rollouts
-    done = 0
+    archives = {t: modulator.archive(place.scene, target) for t, target in TARGETS.items()}
+    seeds = [
+        stream_seed("evaluation", config.seed, i, "plan").generate_state(2, np.uint64) >> 2
+        for i in range(config.rollouts)
+    ]
+    work = []
+    for letter, target in TARGETS.items():
+        jobs = [Job(place.scene, target, 1.0, int(a), int(b)) for a, b in seeds]
+        work += [(name, jobs, [archives[letter]] * len(jobs)) for name in METHODS]
+    with pool(workers, cluster) as each:
+        motions = iter(contest.motions(work, each, progress))
     methods: dict[str, Any] = {
         name: {"milliseconds": times.get(name), "targets": {}} for name in METHODS
     }
     cells: dict[str, dict[str, Array]] = {}
     oracle = {}
-    for letter, target in TARGETS.items():
-        archive = modulator.archive(place.scene, target)
+    for letter, archive in archives.items():
         best = archive.trajectories[archive.nearest(1.0)]
         oracle[letter] = _scaled(measured(best, place.scene, archive, place.spacing), place.unit)
-        seeds = [
-            stream_seed("evaluation", config.seed, i, "plan").generate_state(2, np.uint64) >> 2
-            for i in range(config.rollouts)
-        ]
-        jobs = [Job(place.scene, target, 1.0, int(a), int(b)) for a, b in seeds]
         for name in METHODS:
-            rollouts = contest.rollouts(
-                name,
-                jobs,
-                [archive] * len(jobs),
-                lambda n, before=done: progress(before + n, total),
-            )
-            done += len(jobs)
+            own = next(motions)
             rows = [
-                _scaled(measured(r.states, place.scene, archive, place.spacing), place.unit)
-                for r in rollouts
+                _scaled(measured(m.states, place.scene, archive, place.spacing), place.unit)
+                for m in own
             ]
             values = {metric: np.array([row[metric] for row in rows]) for metric in METRICS}
-            success = np.array([r.success for r in rollouts])
-            methods[name]["targets"][letter] = {
-                "success": {"mean": float(success.mean()), "interval": share_interval(success)},
-                "reasons": dict(Counter(r.reason for r in rollouts)),
-                **{
-                    metric: {
-                        "mean": float(found.mean()),
-                        "interval": bootstrap_interval(found),
-                        **(
-                            {"values": [float(f"{x:.6g}") for x in found]}
-                            if metric in TESTED
-                            else {}
-                        ),
-                    }
-                    for metric, found in values.items()
-                },
-            }
+            methods[name]["targets"][letter] = _figures(own, values)
             for metric in TESTED:
                 sign = 1 if METRICS[metric].higher else -1
                 cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
@@ -158,6 +151,19 @@ def evaluate_table1(
         "tests": compare(cells),
         "search": contest.sizes,
     }
+
+
+def _figures(motions: list[Motion], values: dict[str, Array]) -> dict[str, Any]:
+    success = np.array([motion.success for motion in motions])
+    figures: dict[str, Any] = {
+        "success": {"mean": float(success.mean()), "interval": share_interval(success)},
+        "reasons": dict(Counter(motion.reason for motion in motions)),
+    }
+    for metric, found in values.items():
+        figures[metric] = {"mean": float(found.mean()), "interval": bootstrap_interval(found)}
+        if metric in TESTED:
+            figures[metric]["values"] = [float(f"{x:.6g}") for x in found]
+    return figures
 
 
 def _scaled(figures: dict[str, float], unit: float) -> dict[str, float]:

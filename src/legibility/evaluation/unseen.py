@@ -14,6 +14,7 @@ from ..envs import vector_type
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
+from ..parallel import pool
 from ..scene import stream_seed
 from .comparison import METHODS, METRICS, TESTED, Contest, Job, compare, measured
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
@@ -60,9 +61,21 @@ def evaluate_unseen(
     policies: dict[str, GoalPolicy],
     config: UnseenConfig | None = None,
     *,
+    workers: int = 1,
+    cluster: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """Execute every method in the same random scenes.
+
+    The figures are the same for any number of workers.
+
+    Args:
+        modulator: both stages.
+        policies: the baselines by the name of their method.
+        config: how.
+        workers: processes on this machine.
+        cluster: a Dask cluster, see `pool`.
+        progress: called with the motions done and all of them.
 
     Returns:
         `methods`: of each its success with interval; each of `METRICS` as a summary over scenes of
@@ -82,39 +95,39 @@ def evaluate_unseen(
     size = config.search_candidates
     contest = Contest(modulator, policies, kind, (size, 10 * size) if size else None)
     contest.calibrate(SCENES[kind.dim].scene, 0)
-    found = [source.scene(index) for index in range(config.scenes)]
-    archives = [archive for _, archive in found]
+    archives = [source.scene(index)[1] for index in range(config.scenes)]
     spacing = SCENES[kind.dim].spacing
     oracle = [
         measured(a.trajectories[a.nearest(1.0)], a.scene, a, spacing) for a in archives
     ]  # fmt: skip
     levels = np.round(np.linspace(-1, 1, config.levels), 12)
     asked = {"legible": np.ones(config.rollouts), "dial": levels}
-    numbers = {
-        part: sum(m.dial or part == "legible" for m in METHODS.values()) * len(each)
-        for part, each in asked.items()
-    }
-    total, done = config.scenes * sum(numbers.values()), 0
+    work, kinds = [], []
+    for name, method in METHODS.items():
+        for part, each_level in asked.items():
+            if part == "legible" or method.dial:
+                work.append((name, *_jobs(archives, each_level, config.seed, part)))
+                kinds.append((name, part))
+    with pool(workers, cluster) as each:
+        found = dict(zip(kinds, contest.motions(work, each, progress), strict=True))
     methods: dict[str, Any] = {}
     cells: dict[str, dict[str, Array]] = {}
     for name, method in METHODS.items():
         rows: dict[str, Array] = {}
         success = np.empty(0)
-        for part, each in asked.items():
-            if part == "dial" and not method.dial:
+        for part, levels_asked in asked.items():
+            motions = found.get((name, part), [])
+            if not motions:
                 continue
-            jobs, own = _jobs(archives, each, config.seed, part)
-            rollouts = contest.rollouts(
-                name, jobs, own, lambda n, before=done: progress(before + n, total)
-            )
-            done += len(jobs)
-            motions = [
-                measured(r.states, a.scene, a, spacing) for r, a in zip(rollouts, own, strict=True)
+            own = np.repeat(np.arange(config.scenes), len(levels_asked))
+            figures = [
+                measured(m.states, archives[i].scene, archives[i], spacing)
+                for m, i in zip(motions, own, strict=True)
             ]
-            shape = config.scenes, len(each)
+            shape = config.scenes, len(levels_asked)
             for metric in METRICS:
-                rows[f"{part} {metric}"] = np.reshape([m[metric] for m in motions], shape)
-            success = np.append(success, [r.success for r in rollouts])
+                rows[f"{part} {metric}"] = np.reshape([f[metric] for f in figures], shape)
+            success = np.append(success, [m.success for m in motions])
         methods[name] = {
             "success": {"mean": float(success.mean()), "interval": share_interval(success)},
             **{m: summary(rows[f"legible {m}"].mean(axis=1)) for m in METRICS},
