@@ -45,7 +45,7 @@ def table1_section(document: dict[str, Any]) -> str:
     for name in METHODS:
         method = result["methods"][name]
         success = min(t["success"]["mean"] for t in method["targets"].values())
-        line = [METHODS[name].text, f"{success:.0%}"]
+        line = [METHODS[name].text, f"{success:.1%}"]
         for letter in TARGETS:
             for metric in TESTED:
                 mean, ratio = _figure(result, name, letter, metric)
