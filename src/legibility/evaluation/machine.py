@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import platform
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from ..curves import NUM_WAYPOINTS
 from ..models.path_diffuser import PathDiffuser
@@ -23,6 +25,7 @@ __all__ = [
     "limits",
     "load_average",
     "machine_facts",
+    "operations",
 ]
 
 _SIDE = 1024
@@ -85,20 +88,28 @@ def limits(device: torch.device) -> dict[Any, Work]:
 def forward_cost(model: PathDiffuser, batch: int) -> dict[str, int]:
     """What drawing `batch` paths in one scene needs: `flops` and `bytes`.
 
-    The operations are those of products and convolutions, two for a multiplication and an addition.
     The bytes are of parameters, inputs and outputs, each moved once.
     """
-    from torch.utils.flop_counter import FlopCounterMode
-
     device, dim = model.spread.device, model.config.dim
     conditions = model.conditions([bench_scene(dim)], [0]).map(lambda x: x.to(device))
     level = torch.from_numpy(levels(batch).astype(np.float32)).to(device)
     noise = torch.zeros(batch, NUM_WAYPOINTS, dim, device=device)
-    with FlopCounterMode(display=False) as counter:
-        drawn = PathDiffuser.sample(model, conditions, level, noise)
+    drawn, flops = operations(lambda: PathDiffuser.sample(model, conditions, level, noise))
     inputs = [conditions.image, conditions.vector, conditions.slopes, conditions.intercepts]
     tensors = [*model.parameters(), *inputs, level, noise, drawn]
     return {
-        "flops": counter.get_total_flops(),
+        "flops": flops,
         "bytes": sum(t.numel() * t.element_size() for t in tensors),
     }
+
+
+def operations(call: Callable[[], Tensor]) -> tuple[Tensor, int]:
+    """What `call` returns, and how many operations its products and convolutions are.
+
+    A multiplication and the addition after it are two.
+    """
+    from torch.utils.flop_counter import FlopCounterMode
+
+    with FlopCounterMode(display=False) as counter:
+        found = call()
+    return found, counter.get_total_flops()
