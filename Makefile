@@ -34,7 +34,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv install demo test lint format weights data results clean distclean \
+.PHONY: help venv install demo test lint format weights data results bench clean distclean \
 	$(MODELS:%=weights-%) $(MODELS:%=data-%)
 
 help: ## list the targets
@@ -139,6 +139,9 @@ $(MEASURED:%=$(RUNS)/results/%): $(RUNS)/results/%: $(STAMP) \
 		$(wildcard src/legibility/weights/*/*.safetensors)
 	$(LEGIBILITY) $($*)
 	@mkdir -p $(@D) && touch $@
+
+bench: $(STAMP) ## measure how fast it is on this machine, which is to be left alone meanwhile
+	$(LEGIBILITY) bench --json $(RESULTS)/bench-cpu.json
 
 clean: ## remove caches and build products
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis

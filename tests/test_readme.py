@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from legibility.cli import main
+from legibility.evaluation.bench_table import bench_section
 from legibility.evaluation.card import (
     ablations_section,
     dial_section,
@@ -114,7 +115,7 @@ def test_tables_and_card_are_what_was_measured_with_these_weights(name):
 
 COMPARED = {
     "table1": table1_section, "unseen": unseen_section, "spectrum": spectrum_section,
-    "ablations": ablations_section,
+    "ablations": ablations_section, "bench": bench_section,
 }  # fmt: skip
 
 

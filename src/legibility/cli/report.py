@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
+from ..evaluation.bench_table import bench_section
 from ..evaluation.card import (
     ablations_section,
     dial_section,
@@ -38,14 +39,15 @@ def report(
     readme: OutputFile = None,
     weights: Folder = None,
 ) -> None:
-    """Render what `legibility evaluate` wrote: tables, figures and model cards.
+    """Render what `legibility evaluate` and `bench` wrote: tables, figures and model cards.
 
     DIR holds, for weights NAME, dial-NAME.json of `evaluate dial`, closed-loop-NAME.json of the
     same with --closed-loop, execution-NAME.json of `evaluate execution`, of the same in another
     simulator transfer-NAME.json, and ablations-NAME.json of `evaluate ablations`; for an
     environment NAME, table1-NAME.json, unseen-NAME.json and spectrum-NAME.json of the verbs of
-    those names. Each becomes a text, DIR/KIND-NAME.md; dials and spectra become figures too, .png
-    and for the latter .pdf, Table I a LaTeX tabular, .tex, and a .csv.
+    those names; for a device NAME, bench-NAME.json of `bench`. Each becomes a text,
+    DIR/KIND-NAME.md; dials and spectra become figures too, .png and for the latter .pdf, Table I a
+    LaTeX tabular, .tex, and a .csv.
 
     Args:
         results: folder of the JSON files.
@@ -99,6 +101,7 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "unseen": unseen_section,
     "spectrum": spectrum_section,
     "ablations": ablations_section,
+    "bench": bench_section,
 }
 
 

@@ -1,0 +1,171 @@
+"""The kinds of work that the bench times and weighs, each as one call."""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..checks import Array
+from ..dataset import Dataset, DatasetConfig, generate
+from ..envs import vector_type
+from ..models.diffusion import noise_schedule
+from ..models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from ..modulator import Modulator
+from ..motion.archive import build_archive
+from ..scene import Scene, stream_seed
+from ..training import PathBatches, PathTrainingConfig, train
+from .published import PublishedDiffuser
+from .timing import Work
+
+__all__ = [
+    "SCENES_TRAINED",
+    "archive",
+    "bench_scene",
+    "dataset",
+    "levels",
+    "many_scenes",
+    "on_device",
+    "planning",
+    "published",
+    "rollouts",
+    "settle",
+    "training",
+]
+
+SCENES_TRAINED = 4
+"""Scenes that a step of training draws its batch from; its time does not depend on them."""
+
+_NEVER = 1e-12
+
+
+def bench_scene(dim: int, goals: int = 4, index: int = 0) -> Scene:
+    """A random scene of the evaluation stream."""
+    rng = np.random.default_rng(stream_seed("evaluation", 0, index, "scene"))
+    return Scene.random(rng, dim=dim, num_goals=goals)
+
+
+def levels(batch: int) -> Array:
+    """ℓ `(batch,)` all over the dial; one alone is 0.5."""
+    return 2 * (np.arange(batch) + 0.75) / batch - 1
+
+
+def planning(
+    modulator: Modulator, batch: int = 1, *, goals: int = 4, candidates: int = 1
+) -> Callable[[], object]:
+    """Plan `batch` paths in one scene, other ones each time."""
+    scene, asked = bench_scene(modulator.config.dim, goals), levels(batch)
+    seeds = itertools.count()
+    return lambda: modulator.plan(scene, 0, asked, seed=next(seeds), num_candidates=candidates)
+
+
+def many_scenes(modulator: Modulator, scenes: int) -> Callable[[], object]:
+    """Plan a path in each of `scenes`, other ones each time."""
+    places = [bench_scene(modulator.config.dim, index=i) for i in range(scenes)]
+    targets, seeds = [0] * scenes, itertools.count()
+    return lambda: modulator.plan_many(places, targets, levels(scenes), seed=next(seeds))
+
+
+def rollouts(modulator: Modulator, robots: int) -> Callable[[], object]:
+    """Plan for `robots` in one scene and move them to their goals."""
+    scene = bench_scene(modulator.config.dim)
+    kind, seeds = vector_type(None, modulator.config.dim), itertools.count()
+
+    def call() -> None:
+        seed = next(seeds)
+        env = kind(robots)
+        env.reset(seed=seed, options={"scene": scene})
+        modulator.execute(env, legibility=levels(robots), seed=seed)
+        env.close()
+
+    return call
+
+
+def archive(dim: int, candidates: int | None = None) -> Callable[[], int]:
+    """Build an archive and return how many curves were tried.
+
+    Args:
+        dim: D.
+        candidates: how many at most, as long as new cells fill; as ever if not given.
+    """
+    scene = bench_scene(dim)
+    if candidates is None:
+        return lambda: build_archive(scene).num_candidates
+    first = min(candidates, 4096)
+    return lambda: (
+        build_archive(
+            scene, random_candidates=first, max_candidates=candidates, patience=_NEVER
+        ).num_candidates
+    )
+
+
+def dataset(dim: int, scenes: int) -> Callable[[], Dataset]:
+    """Make a dataset of `scenes` on disk by one process, and read it."""
+    config = DatasetConfig(dim=dim, scenes=scenes, stream="evaluation")
+
+    def call() -> Dataset:
+        with tempfile.TemporaryDirectory() as folder:
+            return generate(config, Path(folder) / "data")
+
+    return call
+
+
+def training(config: PathDiffuserConfig, device: torch.device, steps: int) -> Work:
+    """Train stage 1 from nothing for `steps`; the pieces are the steps but the first and last."""
+    settings = PathTrainingConfig(steps=steps + 2)
+    model = PathDiffuser(config)
+    model.signal.copy_(noise_schedule(config.diffusion_steps))
+    batches = PathBatches(dataset(config.dim, SCENES_TRAINED)(), model, settings, device)
+    model = model.to(device)
+    model.spread.copy_(batches.spread(model))
+
+    def work() -> list[float]:
+        ends: list[float] = []
+
+        def progress(*_: object) -> None:
+            settle(device)
+            ends.append(time.perf_counter())
+
+        with tempfile.TemporaryDirectory() as folder:
+            train(
+                model, batches.loss, lambda _: {}, settings, folder, identity={}, progress=progress
+            )
+        return np.diff(ends)[:-1].tolist()
+
+    return work
+
+
+def published(
+    model: PublishedDiffuser, batch: int, steps: int, device: torch.device
+) -> Callable[[], None]:
+    """Draw `batch` paths by the published configuration."""
+
+    def call() -> None:
+        model.sample(batch, steps)
+        settle(device)
+
+    return call
+
+
+def on_device(modulator: Modulator, device: torch.device) -> Modulator:
+    """A modulator whose stage 1 draws on `device`; all else stays on the CPU."""
+    model = modulator.path_diffuser.to(device)
+    draw = model.sample
+
+    def sample(conditions, level, noise, **options):
+        there = conditions.map(lambda x: x.to(device))
+        return draw(there, level.to(device), noise.to(device), **options).cpu()
+
+    model.sample = sample  # pyright: ignore[reportAttributeAccessIssue]
+    return Modulator(model, modulator.path_policy, modulator.name)
+
+
+def settle(device: torch.device) -> None:
+    """Wait for what was started on a GPU."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
