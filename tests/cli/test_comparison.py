@@ -20,7 +20,7 @@ def baselines(dataset, cli, tmp_path_factory, one_thread):
         " --channels 8 16 --condition 16 --sampling-steps 2"
     )
     with pytest.MonkeyPatch.context() as patch:
-        tried = {"guidance": (0.0, 5.0), "guidance_decay": (0.5,), "guidance_share": (0.9, 1.0)}
+        tried = {"guidance": (2.0, 5.0), "guidance_decay": (0.5,), "guidance_share": (0.9, 1.0)}
         patch.setattr("legibility.training.goal.GUIDANCE", tried)
         found = {}
         for verb in ("diffusion-policy", "legibility-diffuser"):
@@ -39,7 +39,7 @@ def test_weights(baselines):
     assert guided[1]["goal"]["training"]["dropout"] == 0.2
     tuning = guided[1]["goal"]["tuning"]
     assert len(tuning) == 4
-    assert {row["guidance"] for row in tuning} == {0.0, 5.0}
+    assert {row["guidance"] for row in tuning} == {2.0, 5.0}
     config = guided[0]["goal"].config
     best = max(row["success"] for row in tuning)
     chosen = [

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from ..dataset import Dataset
 from ..envs import environment_dim
-from ..errors import CheckpointError
+from ..errors import CheckpointError, InvalidInputError
 from ..evaluation.ablations import COLUMNS, AblationsConfig, evaluate_ablations
 from ..evaluation.comparison import METHODS, METRICS, TESTED
 from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
@@ -321,6 +321,11 @@ def _contestants(
         if "goal" not in stages:
             raise CheckpointError(f"{weights} has no goal-conditioned policy")
         policies[method] = stages["goal"].eval().requires_grad_(False)
+        guided = policies[method].config.guidance > 0
+        if guided != (method == "legibility diffuser"):
+            raise InvalidInputError(
+                f"{weights} is {'' if guided else 'not '}guided, so it is no {method}"
+            )
     modulator = Modulator.from_pretrained(name)
     others = [model_record(weights) for weights in names.values()]
     return modulator, policies, model_record(name), others

@@ -62,6 +62,7 @@ def execute(
     """
     from ..checks import random_seed, target_index
     from ..envs import vector_type
+    from ..errors import InvalidInputError
     from ..evaluation.statistics import clear_step
     from ..execution import Rollout
     from ..scene import Scene
@@ -70,6 +71,8 @@ def execute(
     random_seed("seed", seed)
     check_figure(figure)
     check_figure(spectrum)
+    if spectrum is not None and len(np.unique(asked)) < len(asked):
+        raise InvalidInputError("a spectrum shows each level once, legibility names one twice")
     check_file(json, "JSON file")
     check_file(csv, "CSV file")
     if figure is not None or video is not None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json as json_format
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -68,24 +69,30 @@ def report(
     # All is rendered before anything is written.
     page = None if readme is None else read_text(readme, "Markdown file")
     sections: list[tuple[Path, dict[str, Any], str]] = []
-    cards: dict[Path, str] = {}
+    figures: list[tuple[Callable[..., None], Any, Path]] = []
+    texts: dict[Path, str] = {}
     for name, documents in found.items():
         for kind, document in documents.items():
             file = results / f"{kind}-{name}.json"
-            section = _section(kind, file, document)
+            with _as_is_written(f"{file} is not what `evaluate` writes"):
+                section = _section(kind, file, document)
+                texts |= _tables(kind, file, document)
+                figures += _figures(kind, file, document["result"])
+            texts[file.with_suffix(".md")] = f"{section}\n"
             sections.append((file, document, section))
             if page is not None:
                 page = replace_table(page, file.stem, section)
         if weights is not None and (weights / name).is_dir():
-            cards[weights / name / "README.md"] = _card(name, weights / name, documents)
-
+            config = _read(weights / name / "config.json")
+            with _as_is_written(f"cannot make the card of {name}"):
+                texts[weights / name / "README.md"] = render_card(name, config, documents)
     if weights is not None:
-        cards |= _baseline_cards(weights, found)
-    for file, document, section in sections:
-        _write_figures(file, document)
-        write_bytes(file.with_suffix(".md"), f"{section}\n".encode())
-    for file, card in cards.items():
-        write_bytes(file, card.encode())
+        texts |= _baseline_cards(weights, found)
+
+    for draw, content, file in figures:
+        draw(content, file)
+    for file, text in texts.items():
+        write_bytes(file, text.encode())
     if readme is not None and page is not None:
         write_bytes(readme, page.encode())
     for file, document, section in sections:
@@ -105,39 +112,43 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
 }
 
 
-def _write_figures(file: Path, document: dict[str, Any]) -> None:
-    """What of a measurement is not Markdown, beside its `file`."""
-    kind, result = file.stem.partition("-")[0], document["result"]
-    if kind in ("dial", "closed"):
-        dial_figure(result, file.with_suffix(".png"))
-    elif kind == "table1":
-        write_bytes(file.with_suffix(".tex"), table1_latex(document).encode())
-        write_bytes(file.with_suffix(".csv"), table1_csv(document).encode())
-    elif kind == "spectrum":
-        for suffix in (".png", ".pdf"):
-            spectra = [Spectrum.of_result(result, letter) for letter in result["targets"]]
-            spectrum_figure(spectra, file.with_suffix(suffix))
+@contextlib.contextmanager
+def _as_is_written(problem: str) -> Iterator[None]:
+    """Say `problem` of JSON in which something else is found than was looked for."""
+    try:
+        yield
+    except InvalidInputError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError) as cause:
+        raise InvalidInputError(f"{problem}: {cause!r}") from cause
 
 
 def _section(kind: str, file: Path, document: dict[str, Any]) -> str:
-    try:
-        if document["config"].get("closed_loop", False) != (kind == "closed-loop"):
-            raise InvalidInputError(f"{file} is not of the kind that its name says, {kind}")
-        return _KINDS[kind](document)
-    except InvalidInputError:
-        raise
-    except (LookupError, TypeError, ValueError, AttributeError) as cause:
-        raise InvalidInputError(f"{file} is not what `evaluate` writes: {cause!r}") from cause
+    if document["config"].get("closed_loop", False) != (kind == "closed-loop"):
+        raise InvalidInputError(f"{file} is not of the kind that its name says, {kind}")
+    return _KINDS[kind](document)
 
 
-def _card(name: str, folder: Path, documents: dict[str, dict[str, Any]]) -> str:
-    config = _read(folder / "config.json")
-    try:
-        return render_card(name, config, documents)
-    except InvalidInputError:
-        raise
-    except (LookupError, TypeError, ValueError, AttributeError) as cause:
-        raise InvalidInputError(f"cannot make the card of {name}: {cause!r}") from cause
+def _tables(kind: str, file: Path, document: dict[str, Any]) -> dict[Path, str]:
+    """Texts beside a measurement that are not Markdown."""
+    if kind != "table1":
+        return {}
+    return {
+        file.with_suffix(".tex"): table1_latex(document),
+        file.with_suffix(".csv"): table1_csv(document),
+    }
+
+
+def _figures(
+    kind: str, file: Path, result: dict[str, Any]
+) -> list[tuple[Callable[..., None], Any, Path]]:
+    """Pictures beside a measurement: who draws them, of what, and where to."""
+    if kind in ("dial", "closed-loop"):
+        return [(dial_figure, result, file.with_suffix(".png"))]
+    if kind != "spectrum":
+        return []
+    spectra = [Spectrum.of_result(result, letter) for letter in result["targets"]]
+    return [(spectrum_figure, spectra, file.with_suffix(suffix)) for suffix in (".png", ".pdf")]
 
 
 def _baseline_cards(weights: Path, found: dict[str, dict[str, dict[str, Any]]]) -> dict[Path, str]:
@@ -145,22 +156,19 @@ def _baseline_cards(weights: Path, found: dict[str, dict[str, dict[str, Any]]]) 
     documents: dict[str, dict[str, dict[str, Any]]] = {}
     for name, kinds in found.items():
         for kind, document in kinds.items():
-            for used in document.get("baselines", []):
-                documents.setdefault(used["name"], {})[f"{kind}-{name}"] = document
+            with _as_is_written(f"{kind}-{name}.json is not what `evaluate` writes"):
+                for used in document.get("baselines", []):
+                    documents.setdefault(used["name"], {})[f"{kind}-{name}"] = document
     cards = {}
     for name, own in documents.items():
         folder = weights / name
-        if Path(name).name == name and folder.is_dir():
-            method = next((m for m in METHODS if name.startswith(m.replace(" ", "-"))), "")
+        method = next((m for m in METHODS if name.startswith(m.replace(" ", "-"))), None)
+        if method and Path(name).name == name and folder.is_dir():
             config = _read(folder / "config.json")
-            try:
+            with _as_is_written(f"cannot make the card of {name}"):
                 cards[folder / "README.md"] = render_baseline_card(
                     name, method, config, dict(sorted(own.items()))
                 )
-            except InvalidInputError:
-                raise
-            except (LookupError, TypeError, ValueError, AttributeError) as cause:
-                raise InvalidInputError(f"cannot make the card of {name}: {cause!r}") from cause
     return cards
 
 

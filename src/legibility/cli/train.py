@@ -232,7 +232,8 @@ def _train_on_demonstrations(
             demonstrations, checks, out, settings, device=device, progress=progress, **model
         )
         if tune:
-            chosen, facts["tuning"] = tune_guidance(trained, checks)
+            with progress_bar("combinations of guidance") as tuned:
+                chosen, facts["tuning"] = tune_guidance(trained, checks, tuned)
             trained.config = replace(trained.config, **chosen)
         return trained
 

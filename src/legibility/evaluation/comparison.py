@@ -35,9 +35,11 @@ from .statistics import CONFIDENT, holm, paired_test
 from .threads import one_thread
 
 __all__ = [
+    "BASELINE",
     "CANDIDATES",
     "METHODS",
     "METRICS",
+    "OURS",
     "TESTED",
     "Contest",
     "Job",
@@ -231,7 +233,7 @@ class Contest:
         Args:
             name: of the method.
             jobs: the motions.
-            archives: of each job's scene, which the oracle alone sees.
+            archives: of each job's scene, from which the oracle takes its paths.
         """
         if name == "oracle":
             return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]

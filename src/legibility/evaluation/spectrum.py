@@ -139,16 +139,20 @@ class Spectrum:
 
     @classmethod
     def of(cls, rollouts: Sequence[Rollout], spacing: float) -> Spectrum:
-        """Of motions in one scene, as many of each level; L_p is of points `spacing` [m] apart.
+        """Of motions in one scene; L_p is of points `spacing` [m] apart.
 
         Raises:
-            InvalidInputError: there are none.
+            InvalidInputError: there are none, or not as many of each level.
         """
         if not rollouts:
             raise InvalidInputError("a spectrum needs at least one motion, got none")
         rollouts = sorted(rollouts, key=lambda rollout: rollout.legibility)
         path = rollouts[0].path
-        levels = np.unique([rollout.legibility for rollout in rollouts])
+        levels, counts = np.unique([r.legibility for r in rollouts], return_counts=True)
+        if np.ptp(counts):
+            raise InvalidInputError(
+                f"a spectrum needs as many motions of each level, got {counts.tolist()}"
+            )
         costs = [
             potential_cost(spaced(r.states, spacing), path.field, path.target) for r in rollouts
         ]

@@ -56,8 +56,8 @@ def save_stage(
     """Write the weights of one stage to `folder` and its entry to `config.json` there.
 
     Args:
-        folder: of the model; the other stage, if it is there, stays.
-        stage: `path` or `policy`.
+        folder: of the model; other stages, if they are there, stay.
+        stage: `path`, `policy` or `goal`.
         model: the network.
         training: how it was made.
     """
