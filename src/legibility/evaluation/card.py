@@ -365,8 +365,8 @@ and Xu 2024), with the mean over several g⁻. Of {len(tuning)} combinations tri
 scenes, all recorded in `config.json`, the most legible one that reaches the goal in {needed:.0%} of
 them was taken: w = {own["guidance"]:g}, γ = {own["guidance_decay"]:g},
 a = {own["guidance_share"]:g}, which reached it in {own["success"]:.1%} with a mean achieved ℓ of
-{own["achieved"]:.3f}. The most legible of all (w = {most["guidance"]:g}, γ = {most["guidance_decay"]:g},
-a = {most["guidance_share"]:g}) has {most["achieved"]:.3f} and reached it in
+{own["achieved"]:.3f}. The most legible of all (w = {most["guidance"]:g},
+γ = {most["guidance_decay"]:g}, a = {most["guidance_share"]:g}) has {most["achieved"]:.3f} and reached it in
 {most["success"]:.1%}.""")
 
 
