@@ -109,6 +109,11 @@ def test_model_without_stage_2(weights, refused):
         assert "no stage 2" in refused(line, weights)
 
 
+def test_cluster(refused):
+    for line in ("data --scenes 1 --out d", "evaluate dial --scenes 1 --json j.json"):
+        assert "cluster must be local or an address" in refused(f"{line} --cluster nowhere")
+
+
 def test_wrong_dimension_for_the_model(weights, refused):
     message = refused("plan solid.yaml --json j.json --model", weights)
     assert "plans in 2D, the scene is 3D" in message

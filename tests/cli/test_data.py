@@ -2,6 +2,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from legibility.dataset import Dataset
 
@@ -31,8 +32,12 @@ def test_picture_lies_beside_the_data_by_default(dataset, cli, capsys):
     (dataset / "info.png").unlink()
 
 
-def test_same_bytes_from_the_same_command(dataset, here, cli):
-    line = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --workers 2 --json d.json --out"
+@pytest.mark.parametrize("where", ["", "--cluster local"])
+def test_same_bytes_from_the_same_command(where, dataset, here, cli):
+    if where:
+        pytest.importorskip("distributed", reason="Dask is NOT TESTED: the extra is missing")
+    flags = f"--goals 2..3 --per-scene 17 --cells 16 --workers 2 {where}"
+    line = f"data --scenes 4 {flags} --json d.json --out"
     assert cli(line, "again") == 0
     names = {file.name for file in dataset.iterdir()}
     assert names == {file.name for file in Path("again").iterdir()}
