@@ -366,8 +366,8 @@ scenes, all recorded in `config.json`, the most legible one that reaches the goa
 them was taken: w = {own["guidance"]:g}, γ = {own["guidance_decay"]:g},
 a = {own["guidance_share"]:g}, which reached it in {own["success"]:.1%} with a mean achieved ℓ of
 {own["achieved"]:.3f}. The most legible of all (w = {most["guidance"]:g},
-γ = {most["guidance_decay"]:g}, a = {most["guidance_share"]:g}) has {most["achieved"]:.3f} and reached it in
-{most["success"]:.1%}.""")
+γ = {most["guidance_decay"]:g}, a = {most["guidance_share"]:g}) has {most["achieved"]:.3f} and
+reached it in {most["success"]:.1%}.""")
 
 
 _STAGE_1 = f"""\
