@@ -120,15 +120,15 @@ def test_sources_without_a_distribution(here, cli, plane, monkeypatch):
     assert examined(cli)["packages"] == {}
 
 
-@pytest.mark.parametrize("what", ["weights", "modulator", "environment", "gymnasium"])
+@pytest.mark.parametrize("what", ["weights", "networks", "environment", "gymnasium"])
 def test_a_core_that_does_not_work(what, here, cli, plane, capsys, monkeypatch):
     def broken(*_, **__):
         raise CheckpointError("the weights are\nspoilt")
 
     if what == "weights":
-        monkeypatch.setattr("legibility.modulator.Modulator.from_pretrained", broken)
-    elif what == "modulator":
-        monkeypatch.setitem(sys.modules, "legibility.modulator", None)
+        monkeypatch.setattr("legibility.models.pretrained.load_stages", broken)
+    elif what == "networks":
+        monkeypatch.setitem(sys.modules, "legibility.models.pretrained", None)
     elif what == "environment":
         monkeypatch.setattr("legibility.envs.block_reach_2d.BlockReach2D.step", broken)
     else:
