@@ -82,6 +82,8 @@ def _in_processes(
         return
     from joblib import Parallel, delayed
 
+    # joblib renews a process that has grown, as it does when it loads a model, and warns of it.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
     sent, left, deaths = _Sent(function), dict(enumerate(items)), 0
     while left:
         run = Parallel(n_jobs=workers, return_as="generator_unordered")
