@@ -21,7 +21,7 @@ class Job:
 
     def __call__(self, number):
         if number == self.fails:
-            raise LookupError(f"no {number}")
+            raise TimeoutError(f"no {number}")  # which may also come of Dask itself
         if number == self.kills and not (self.note and self.note.exists()):
             if self.note:
                 self.note.touch()

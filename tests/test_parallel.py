@@ -50,7 +50,7 @@ class TestEach:
 
     def test_an_exception_is_itself(self, two):
         with pool(**two) as each:
-            with pytest.raises(LookupError, match="no 7"):
+            with pytest.raises(TimeoutError, match="no 7"):
                 list(each(Job(fails=7), range(20)))
             assert sorted(each(Job(), range(20))) == SQUARES
 

@@ -7,12 +7,15 @@ needs is sent to it and what it found is sent back, so nothing is assumed of a s
 from __future__ import annotations
 
 import contextlib
-import hashlib
+import functools
 import logging
+import os
 import pickle
+import secrets
 import signal
 import socket
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -79,6 +82,8 @@ def _in_processes(
         return
     from joblib import Parallel, delayed
 
+    # joblib renews a process that has grown, as it does when it loads a model, and warns of it.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
     sent, left, deaths = _Sent(function), dict(enumerate(items)), 0
     while left:
         run = Parallel(n_jobs=workers, return_as="generator_unordered")
@@ -160,19 +165,21 @@ def _on_dask(
     numbers: dict[str, int] = {}
 
     def started(index: int) -> Any:
-        future = client.submit(_held, sent.digest, items[index], pure=False)
+        future = client.submit(_held, sent.key, items[index], pure=False)
         numbers[future.key] = index
         return future
 
-    client.register_plugin(Holder(sent), name=sent.digest)
+    client.register_plugin(Holder(sent), name=sent.key)
     try:
         done = as_completed([started(i) for i in range(len(items))], loop=client.loop)
         for future in done:
             index = numbers.pop(future.key)
             try:
                 result = future.result(timeout=_LOST)
-            except TimeoutError:  # it died with its worker before it was sent
-                done.add(started(index))
+            except TimeoutError:
+                if future.status == "error":  # the function's own
+                    raise
+                done.add(started(index))  # the result died with its worker before it was sent
             else:
                 yield index, result
     except KilledWorker as cause:
@@ -181,7 +188,7 @@ def _on_dask(
         raise WorkerError("the Dask scheduler does not answer any more") from cause
     finally:
         with contextlib.suppress(Exception):  # there may be nobody any more
-            client.unregister_worker_plugin(sent.digest)
+            client.unregister_worker_plugin(sent.key)
 
 
 def _died(cause: BaseException) -> str:
@@ -192,39 +199,54 @@ class _Sent:
     """A function on its way to workers: pickled once, unpickled once in each process."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
-        content = pickle.dumps(function)
-        self.digest = hashlib.sha256(content).hexdigest()
-        self.content = np.frombuffer(content, np.uint8)  # joblib shares a large array
+        self.key = secrets.token_hex(16)
+        # joblib shares a large array.
+        self.content = np.frombuffer(pickle.dumps(function), np.uint8)
 
     def __call__(self, item: Any) -> Any:
-        if threading.current_thread() is threading.main_thread():
-            # An interrupt from the keyboard is left to the main process.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if self.digest not in _HELD:
+        _follow_the_main_process()
+        if self.key not in _HELD:
             _HELD.clear()
         return self.held()(item)
 
     def held(self) -> Callable[[Any], Any]:
         """The function, which this process keeps."""
-        if self.digest not in _HELD:
-            _HELD[self.digest] = pickle.loads(self.content.data)
-        return _HELD[self.digest]
+        if self.key not in _HELD:
+            _HELD[self.key] = pickle.loads(self.content.data)
+        return _HELD[self.key]
 
     def drop(self) -> None:
         """Keep it no longer."""
-        _HELD.pop(self.digest, None)
+        _HELD.pop(self.key, None)
 
 
 _HELD: dict[str, Callable[[Any], Any]] = {}
-"""Of a worker, the functions that it was sent, by their digests."""
+"""Of a worker, the functions that it was sent, by their keys."""
 
 _LOCK = threading.Lock()
 """A worker of several threads has one model, and simulators that are not made for threads."""
 
 
-def _held(digest: str, item: Any) -> Any:
+@functools.cache
+def _follow_the_main_process() -> None:
+    """In a process of joblib, leave interrupts to the main one, and end with it.
+
+    Where that one is killed, joblib's would wait for ever.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _held(key: str, item: Any) -> Any:
     with _LOCK:
-        return _HELD[digest](item)
+        return _HELD[key](item)
 
 
 def _numbered(function: Callable[[Any], Any], index: int, item: Any) -> tuple[int, Any]:
