@@ -108,7 +108,7 @@ def train(
     average = copy.deepcopy(model).requires_grad_(False).eval()
     parameters = list(model.parameters())
     optimizer = torch.optim.AdamW(
-        parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
+        parameters, lr=config.learning_rate, weight_decay=config.weight_decay
     )
     scaler = team.scaler()
     identity = {**identity, "training": asdict(config)}

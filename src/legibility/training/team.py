@@ -1,4 +1,4 @@
-"""One process that trains alone, or one of several that `accelerate launch` started."""
+"""One process that trains alone, or one of several that a launcher started."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from ..errors import InvalidInputError
 
 __all__ = ["Team", "choose_device"]
 
-_LAUNCHED = "ACCELERATE_MIXED_PRECISION"  # set by `accelerate launch`, whatever the precision
+_LAUNCHED = ("ACCELERATE_MIXED_PRECISION", "LOCAL_RANK")
+"""Variables of which `accelerate launch` sets the first always, `torchrun` the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class Team:
         rank: its number; 0 is the main one, which alone logs, validates and writes.
         size: how many there are.
         precision: of the network's products: no (float32), bf16 or fp16.
-        accelerator: accelerate's, if it launched the run.
+        accelerator: accelerate's, if a launcher started the run.
     """
 
     device: torch.device
@@ -38,7 +39,7 @@ class Team:
 
     @classmethod
     def join(cls, device: str | None = None) -> Team:
-        """The team that accelerate launched, or this process alone.
+        """The team that `accelerate launch` or `torchrun` started, or this process alone.
 
         Args:
             device: where to train; if not given, what accelerate chose, or a GPU if there is one.
@@ -46,7 +47,7 @@ class Team:
         Raises:
             InvalidInputError: the device or the precision cannot be used here.
         """
-        if _LAUNCHED not in os.environ:
+        if not any(name in os.environ for name in _LAUNCHED):
             return cls(choose_device(device))
         from accelerate import Accelerator
 
