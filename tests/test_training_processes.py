@@ -78,7 +78,7 @@ def test_two_take_the_steps_of_one(data, alone, tmp_path):
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
 def test_one_killed_ends_the_run_and_the_same_command_resumes(data, tmp_path):
-    run = start(2, 300, data, tmp_path)
+    run = start(2, 60, data, tmp_path)
     deadline = time.monotonic() + 200
     while not (tmp_path / CHECKPOINT).exists() and run.poll() is None:
         assert time.monotonic() < deadline
@@ -88,9 +88,9 @@ def test_one_killed_ends_the_run_and_the_same_command_resumes(data, tmp_path):
     run.communicate(timeout=200)
     assert run.returncode != 0
     done = load_tensors(tmp_path / CHECKPOINT)[1]["step"]
-    assert 0 < done < 300
+    assert 0 < done < 60
     before = losses(tmp_path)[:done]
-    finish(start(2, 300, data, tmp_path))
+    finish(start(2, 60, data, tmp_path))
     after = losses(tmp_path)
-    assert [row[0] for row in after] == list(range(1, 301))
+    assert [row[0] for row in after] == list(range(1, 61))
     assert after[:done] == before

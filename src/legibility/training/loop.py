@@ -174,7 +174,8 @@ def train(
 @torch.no_grad()
 def _average(average: nn.Module, model: nn.Module, decay: float) -> None:
     """Exponential moving average of the weights; it forgets faster in the first steps."""
-    torch._foreach_lerp_(list(average.parameters()), list(model.parameters()), 1 - decay)
+    for old, new in zip(average.parameters(), model.parameters(), strict=True):
+        old.lerp_(new, 1 - decay)
 
 
 def _mix(seed: int, step: int) -> int:
