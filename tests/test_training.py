@@ -26,6 +26,7 @@ from legibility.training import (
     FrameScorer,
     PathBatches,
     PathTrainingConfig,
+    Team,
     train_path,
     validate_dial,
 )
@@ -37,7 +38,7 @@ TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 
 SHORT = PathTrainingConfig(
     steps=12, scenes=3, per_scene=4, warmup=3, validate_every=5, checkpoint_every=4
 )
-CPU = torch.device("cpu")
+CPU = Team(torch.device("cpu"))
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from legibility.training import (
     LOG,
     PolicyBatches,
     PolicyTrainingConfig,
+    Team,
     train_policy,
     validate_policy,
 )
@@ -25,7 +26,7 @@ from legibility.training.policy import along_paths
 
 torch.set_num_threads(1)
 
-CPU = torch.device("cpu")
+CPU = Team(torch.device("cpu"))
 TINY = {"channels": (8, 16), "condition": 16}
 SHORT = PolicyTrainingConfig(
     steps=8, batch=32, warmup=2, validate_every=100, checkpoint_every=4, learning_rate=3e-3

@@ -24,8 +24,8 @@ from ..training import (
     LOG,
     PathTrainingConfig,
     PolicyTrainingConfig,
+    Team,
     TrainingConfig,
-    choose_device,
     train_goal,
     train_path,
     train_policy,
@@ -85,7 +85,8 @@ def path(
     weights = weights or out / "weights"
     check_folder(out, "checkpoint")
     check_folder(weights, "weights")
-    checks = _validation(dataset.config, validation, out, workers)
+    team = Team.join(device)
+    checks = _validation(dataset.config, validation, out, workers, team)
     facts = {"data": dataset.config.to_dict(), "digest": dataset.digest}
 
     def run(progress: Callable[..., None]) -> nn.Module:
@@ -93,7 +94,7 @@ def path(
             dataset, checks, out, settings, device=device, progress=progress, **vars(model)
         )
 
-    _train("path", run, settings, facts, checks.digest, out, weights, device, json)
+    _train("path", run, settings, facts, checks.digest, out, weights, team, json)
 
 
 def policy(
@@ -220,7 +221,8 @@ def _train_on_demonstrations(
     weights = weights or out / "weights"
     check_folder(out, "checkpoint")
     check_folder(weights, "weights")
-    checks = _validation(demonstrations.dataset, validation, out, workers)
+    team = Team.join(device)
+    checks = _validation(demonstrations.dataset, validation, out, workers, team)
     facts = {
         "data": demonstrations.dataset.to_dict(),
         "demonstrations": {**asdict(demonstrations.config), "number": len(demonstrations)},
@@ -231,13 +233,13 @@ def _train_on_demonstrations(
         trained = train_it(
             demonstrations, checks, out, settings, device=device, progress=progress, **model
         )
-        if tune:
+        if tune and team.main:
             with progress_bar("combinations of guidance") as tuned:
                 chosen, facts["tuning"] = tune_guidance(trained, checks, tuned)
             trained.config = replace(trained.config, **chosen)
         return trained
 
-    _train(stage, run, settings, facts, checks.digest, out, weights, device, json)
+    _train(stage, run, settings, facts, checks.digest, out, weights, team, json)
 
 
 def _train(
@@ -248,7 +250,7 @@ def _train(
     validation: str,
     out: Path,
     weights: Path,
-    device: str | None,
+    team: Team,
     json: Path | None,
 ) -> None:
     """Train a stage under a progress bar, save its weights and tell what became of it."""
@@ -258,6 +260,8 @@ def _train(
             progress(step, steps, _line(step, figures))
 
         trained = run(report)
+    if not team.main:
+        return
     log = [json_format.loads(r) for r in (out / LOG).read_text(encoding="utf-8").splitlines()]
     last: dict[str, float] = {}
     for row in log:
@@ -269,7 +273,9 @@ def _train(
         "parameters": parameters,
         "seconds": last["seconds"],
         "step_seconds": _step_seconds(log),
-        "device": str(choose_device(device)),
+        "device": str(team.device),
+        "processes": team.size,
+        "precision": team.precision,
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
@@ -302,15 +308,20 @@ def _step_seconds(log: list[dict[str, float]]) -> float:
     return float(np.quantile(seconds / steps, 0.1))
 
 
-def _validation(config: DatasetConfig, folder: Path | None, out: Path, workers: Workers) -> Dataset:
+def _validation(
+    config: DatasetConfig, folder: Path | None, out: Path, workers: Workers, team: Team
+) -> Dataset:
     """The dataset that a stage is measured on while training, made like the data if not given."""
     if folder is not None:
         return Dataset.load(folder)
     if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
     config = config.for_validation()
-    with progress_bar("shards for validation") as progress:
-        return generate(config, out / "validation", **vars(workers), progress=progress)
+    with team.main_first():
+        if not team.main:
+            return Dataset.load(out / "validation")
+        with progress_bar("shards for validation") as progress:
+            return generate(config, out / "validation", **vars(workers), progress=progress)
 
 
 def _line(step: int, figures: dict[str, float]) -> str:

@@ -269,12 +269,15 @@ class PathDiffuser(nn.Module):
     @torch.no_grad()
     def _read(self, noisy: Tensor, conditions: Conditions) -> Tensor:
         """`(B, K, D + 2)` of the field and the walls at the points of `noisy (B, K, D)`."""
-        points = self.from_latent(noisy)
-        potential, gradient = conditions.potential(points)
+        # In float32 whatever the network's precision: log odds are large, their differences small.
+        with torch.autocast(noisy.device.type, enabled=False):
+            points = self.from_latent(noisy)
+            potential, gradient = conditions.potential(points)
+            wall_distance = conditions.wall_distance(points)
         reading = torch.cat([
             torch.log1p(potential)[..., None] - 1,
             torch.asinh(gradient) / 2,
-            torch.tanh(2 * conditions.wall_distance(points))[..., None],
+            torch.tanh(2 * wall_distance)[..., None],
         ], dim=-1)  # fmt: skip
         if not self.config.field:
             reading[..., :-1] = 0

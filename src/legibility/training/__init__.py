@@ -1,9 +1,10 @@
 """How weights are made: one loop for every model, and what each is trained on."""
 
 from .goal import train_goal, tune_guidance, validate_goal
-from .loop import CHECKPOINT, LOG, TrainingConfig, choose_device, train
+from .loop import CHECKPOINT, LOG, TrainingConfig, train
 from .path import FrameScorer, PathBatches, PathTrainingConfig, train_path, validate_dial
 from .policy import PolicyBatches, PolicyTrainingConfig, train_policy, validate_policy
+from .team import Team, choose_device
 
 __all__ = [
     "CHECKPOINT",
@@ -13,6 +14,7 @@ __all__ = [
     "PathTrainingConfig",
     "PolicyBatches",
     "PolicyTrainingConfig",
+    "Team",
     "TrainingConfig",
     "choose_device",
     "train",

@@ -1,7 +1,9 @@
 """How weights are made: one loop that logs, validates, checkpoints and resumes bit for bit.
 
 Every random number of a step comes from the seed and the step's number, so on a CPU a run that was
-killed and resumed with the same number of threads makes the same weights as one that was not.
+killed and resumed with the same number of threads makes the same weights as one that was not, and
+several processes, each of which draws the numbers of the whole batch and uses its share, take the
+steps of one.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from ..checks import bounded, count, positive, random_seed
 from ..errors import CheckpointError, InvalidInputError, TrainingError
 from ..files import read_text, write_bytes
 from ..models.checkpoint import load_state, load_tensors, save_tensors
+from .team import Team
 
-__all__ = ["CHECKPOINT", "LOG", "Progress", "TrainingConfig", "choose_device", "train"]
+__all__ = ["CHECKPOINT", "LOG", "Progress", "TrainingConfig", "train"]
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
@@ -81,6 +84,7 @@ def train(
     folder: str | Path,
     *,
     identity: dict[str, Any],
+    team: Team,
     progress: Progress = lambda step, steps, figures: None,
 ) -> M:
     """Train `model` in `folder`, or go on with it, and return its moving average.
@@ -88,29 +92,38 @@ def train(
     Args:
         model: already on the device it shall be trained on.
         loss: of the model and a generator for all of the step's random numbers: the loss and
-            figures to log.
+            figures to log, whose means over the processes are those of the whole batch.
         validate: figures of a model, logged every `validate_every` steps.
         config: how to train.
         folder: of the checkpoint and the log.
         identity: what this run is (data, model); a checkpoint of another is refused.
-        progress: called after each step with the steps done, all of them and what was logged, if
-            anything was.
+        team: of this process; all must see `folder`.
+        progress: called by the main process after each step with the steps done, all of them and
+            what was logged, if anything was.
 
     Raises:
         CheckpointError: the folder's checkpoint is corrupted or of another run.
     """
     folder = Path(folder)
     average = copy.deepcopy(model).requires_grad_(False).eval()
+    parameters = list(model.parameters())
     optimizer = torch.optim.AdamW(
-        model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        parameters, lr=config.learning_rate, weight_decay=config.weight_decay
     )
+    scaler = team.scaler()
     identity = {**identity, "training": asdict(config)}
-    for leftover in folder.glob(".*.safetensors"):  # of a run that was killed
-        leftover.unlink()
+    if team.main:
+        for leftover in folder.glob(".*.safetensors"):  # of a run that was killed
+            leftover.unlink()
     done, seconds = 0, 0.0
     if (folder / CHECKPOINT).exists():
         done, seconds = _restore(folder / CHECKPOINT, model, average, optimizer, identity)
-    log = _Log(folder, done)
+    if (found := float(team.mean([torch.tensor(float(done), device=team.device)])[0])) != done:
+        raise CheckpointError(
+            f"not all processes see the same {folder / CHECKPOINT}: "
+            f"it is at step {done} here, at {found:g} in the mean"
+        )
+    log = _Log(folder, done) if team.main else None
     generator = torch.Generator()
     started = time.perf_counter() - seconds
     model.train()
@@ -121,9 +134,14 @@ def train(
                 group["lr"] = config.learning_rate * _schedule(step, config)
             value, figures = loss(model, generator)
             optimizer.zero_grad(set_to_none=True)
-            value.backward()
-            nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-            optimizer.step()
+            scaler.scale(value).backward()
+            gradients = [p.grad for p in parameters if p.grad is not None]
+            for own, mean in zip(gradients, team.mean(gradients), strict=True):
+                own.copy_(mean)
+            scaler.unscale_(optimizer)
+            nn.utils.clip_grad_norm_(parameters, 1.0)
+            scaler.step(optimizer)
+            scaler.update()
             _average(average, model, min(config.ema, (1 + step) / (10 + step)))
 
             finished = step + 1
@@ -131,11 +149,15 @@ def train(
             seconds = time.perf_counter() - started
             row: dict[str, float] = {}
             if last or finished % config.checkpoint_every == 0 or finished % 50 == 0:
-                row = {k: float(v) for k, v in {"loss": value.detach(), **figures}.items()}
+                figures = {"loss": value.detach(), **figures}
+                means = team.mean(list(figures.values()))
+                row = {k: float(v) for k, v in zip(figures, means, strict=True)}
                 if not math.isfinite(row["loss"]):
                     raise TrainingError(
                         f"the loss is {row['loss']} at step {finished}; try a lower learning_rate"
                     )
+            if log is None:
+                continue
             if last or finished % config.validate_every == 0:
                 row |= validate(average)
             if row:
@@ -144,7 +166,8 @@ def train(
             if last or finished % config.checkpoint_every == 0:
                 _store(folder / CHECKPOINT, model, average, optimizer, identity, finished, seconds)
     finally:
-        log.close()
+        if log is not None:
+            log.close()
     return average
 
 
@@ -249,14 +272,3 @@ class _Log:
     def close(self) -> None:
         if self._board is not None:
             self._board.close()
-
-
-def choose_device(name: str | None) -> torch.device:
-    """The device `name`, or a GPU where there is one."""
-    try:
-        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as cause:
-        reason = str(cause).splitlines()[0]
-        raise InvalidInputError(f"device {name!r} cannot be used here: {reason}") from cause
-    return device

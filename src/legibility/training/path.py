@@ -19,7 +19,8 @@ from ..intent.metrics import SCORE_POINTS
 from ..models.diffusion import noise_schedule, noised
 from ..models.frame import Frame
 from ..models.path_diffuser import Conditions, PathDiffuser, PathDiffuserConfig
-from .loop import Progress, TrainingConfig, choose_device, train
+from .loop import Progress, TrainingConfig, train
+from .team import Team
 
 __all__ = ["FrameScorer", "PathBatches", "PathTrainingConfig", "train_path", "validate_dial"]
 
@@ -55,10 +56,12 @@ class PathBatches:
     """The dataset as tensors on a device, and the loss of stage 1 over random batches of it."""
 
     def __init__(
-        self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, device: torch.device
+        self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, team: Team
     ) -> None:
+        team.shared("scenes", config.scenes)
         self.config = config
-        self.device = device
+        self.team = team
+        device = team.device
         scenes = data.scenes
         self.conditions = model.conditions(scenes, [0] * len(scenes)).map(lambda x: x.to(device))
         frames = [Frame.of(scene, 0) for scene in scenes]
@@ -81,26 +84,33 @@ class PathBatches:
         noise = torch.randn(num * per, *self.waypoints.shape[2:], generator=generator)
         keep = torch.rand(num, generator=generator) >= config.dropout
         scenes, chosen, timestep, noise, keep = (
-            x.to(self.device) for x in (scenes, chosen, timestep, noise, keep)
+            x.to(self.team.device) for x in (scenes, chosen, timestep, noise, keep)
+        )
+        # What the path would achieve if denoised at once. Under much noise that is a mean over many
+        # paths, whose label says little: it counts by the signal squared, and not under the most.
+        signal = model.signal[timestep]
+        weight = signal**2 * (keep.repeat_interleave(per) & (signal > 0.2))
+        weight = weight / weight.sum().clamp_min(1e-6) * self.team.size
+        scenes, chosen, timestep, noise, keep, signal, weight = map(
+            self.team.share, (scenes, chosen, timestep, noise, keep, signal, weight)
         )
         each = scenes.repeat_interleave(per)
         waypoints = self.waypoints[each, chosen.flatten()]
         label = self.labels[each, chosen.flatten()]
 
         clean = model.to_latent(waypoints)
-        signal = model.signal[timestep, None, None]
+        signal = signal[:, None, None]
         noisy, velocity = noised(clean, noise, signal)
-        scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), keep)
         kept = keep.repeat_interleave(per)
-        context = model.encode(scene.repeat_interleave(per, 0), label, kept)
         conditions = self.conditions.without_image().map(lambda x: x[each])
-        predicted = model(noisy, timestep, context, conditions, kept)
+        with self.team.autocast():
+            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), keep)
+            context = model.encode(scene.repeat_interleave(per, 0), label, kept)
+            predicted = model(noisy, timestep, context, conditions, kept)
+        predicted = predicted.float()
         velocity_loss = F.mse_loss(predicted, velocity)
-        # What the path would achieve if denoised at once. Under much noise that is a mean over many
-        # paths, whose label says little: it counts by the signal squared, and not under the most.
-        clear = torch.nonzero(kept & (signal[:, 0, 0] > 0.2))[:, 0]
-        weight = signal[clear, 0, 0] ** 2
-        weight = weight / weight.sum().clamp_min(1e-6)
+        clear = torch.nonzero(weight)[:, 0]
+        weight = weight[clear]
         estimate = (signal.sqrt() * noisy - (1 - signal).sqrt() * predicted)[clear]
         seen = conditions.map(lambda x: x[clear])
         points = self.scorer.curve(model.from_latent(estimate))
@@ -204,12 +214,12 @@ def train_path(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         model = PathDiffuser(PathDiffuserConfig(**settings))
-    where = choose_device(device)
-    batches = PathBatches(data, model, config, where)
-    model = model.to(where)
+    team = Team.join(device)
+    batches = PathBatches(data, model, config, team)
+    model = model.to(team.device)
     model.signal.copy_(noise_schedule(model.config.diffusion_steps))
     model.spread.copy_(batches.spread(model))
-    checks = PathBatches(validation, model, config, where)
+    checks = PathBatches(validation, model, config, team)
     identity = {"model": model.config.to_dict(), "data": data.digest}
     trained = train(
         model,
@@ -218,6 +228,7 @@ def train_path(
         config,
         folder,
         identity=identity,
+        team=team,
         progress=progress,
     )
     return trained.to("cpu")
@@ -230,12 +241,12 @@ def validate_dial(
     """The dial on validation scenes: rank and error of the achieved label, curves inside."""
     from scipy.stats import spearmanr
 
-    scenes = torch.arange(len(checks.labels), device=checks.device)
-    asked = torch.linspace(-1, 1, levels, device=checks.device).repeat_interleave(samples)
+    scenes = torch.arange(len(checks.labels), device=checks.team.device)
+    asked = torch.linspace(-1, 1, levels, device=checks.team.device).repeat_interleave(samples)
     shape = (len(scenes), len(asked), *checks.waypoints.shape[2:])
-    noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(checks.device)
-    achieved = torch.empty(len(scenes), len(asked), device=checks.device)
-    inside = torch.zeros((), device=checks.device)
+    noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(checks.team.device)
+    achieved = torch.empty(len(scenes), len(asked), device=checks.team.device)
+    inside = torch.zeros((), device=checks.team.device)
     for column, level in enumerate(asked):
         waypoints = model.sample(checks.conditions, level.expand(len(scenes)), noise[:, column])
         points = checks.scorer.curve(waypoints)

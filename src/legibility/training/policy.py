@@ -25,7 +25,8 @@ from ..models.goal_policy import GoalPolicy
 from ..models.path_policy import Observation, PathPolicy, PathPolicyConfig
 from ..motion.tracking import PathTracker
 from ..path import Path
-from .loop import Progress, TrainingConfig, choose_device, train
+from .loop import Progress, TrainingConfig, train
+from .team import Team
 
 __all__ = ["PolicyBatches", "PolicyTrainingConfig", "train_policy", "validate_policy"]
 
@@ -54,7 +55,7 @@ class PolicyBatches:
             what guides the policy.
         unguided: the same without it.
         config: how to train.
-        device: where to.
+        team: of this process.
     """
 
     def __init__(
@@ -62,12 +63,13 @@ class PolicyBatches:
         guided: Sequence[Array],
         unguided: Sequence[Array],
         config: PolicyTrainingConfig,
-        device: torch.device,
+        team: Team,
     ) -> None:
+        team.shared("batch", config.batch)
         self.config = config
-        self.device = device
+        self.team = team
         self.guided, self.unguided = (
-            [torch.from_numpy(x.astype(np.float32)).to(device) for x in parts]
+            [torch.from_numpy(x.astype(np.float32)).to(team.device) for x in parts]
             for parts in (guided, unguided)
         )
 
@@ -80,14 +82,17 @@ class PolicyBatches:
         timestep = torch.randint(model.config.diffusion_steps, (size,), generator=generator)
         noise = torch.randn(size, *shape, generator=generator)
         keep = torch.rand(size, generator=generator) >= self.config.dropout
-        chosen, timestep, noise, keep = (x.to(self.device) for x in (chosen, timestep, noise, keep))
+        chosen, timestep, noise, keep = (
+            self.team.share(x).to(self.team.device) for x in (chosen, timestep, noise, keep)
+        )
         features, actions = (
             torch.where(keep.view(-1, *[1] * (known.ndim - 1)), known[chosen], without[chosen])
             for known, without in zip(self.guided, self.unguided, strict=True)
         )
         noisy, velocity = noised(actions / model.scale, noise, model.signal[timestep, None, None])
-        predicted = model(noisy, timestep, model.encode(features, keep))
-        loss = F.mse_loss(predicted, velocity)
+        with self.team.autocast():
+            predicted = model(noisy, timestep, model.encode(features, keep))
+        loss = F.mse_loss(predicted.float(), velocity)
         return loss, {"velocity": loss.detach()}
 
     def scale(self) -> Tensor:
@@ -193,9 +198,9 @@ def fit(
         raise InvalidInputError(
             f"the validation data are {validation.config.dim}-D, the data {model.config.dim}-D"
         )
-    where = choose_device(device)
-    batches = PolicyBatches(parts[0], parts[1], config, where)
-    model = model.to(where)
+    team = Team.join(device)
+    batches = PolicyBatches(parts[0], parts[1], config, team)
+    model = model.to(team.device)
     model.signal.copy_(noise_schedule(model.config.diffusion_steps))
     model.scale.copy_(batches.scale())
     identity = {"model": model.config.to_dict(), "data": data.digest}
@@ -206,6 +211,7 @@ def fit(
         config,
         folder,
         identity=identity,
+        team=team,
         progress=progress,
     )
     return trained.to("cpu")
