@@ -19,7 +19,7 @@ from ..models.path_diffuser import PathDiffuser, PathDiffuserConfig
 from ..modulator import Modulator
 from ..motion.archive import build_archive
 from ..scene import Scene, stream_seed
-from ..training import PathBatches, PathTrainingConfig, train
+from ..training import PathBatches, PathTrainingConfig, Team, train
 from .published import PublishedDiffuser
 from .timing import Work
 
@@ -120,7 +120,8 @@ def training(config: PathDiffuserConfig, device: torch.device, steps: int) -> Wo
     settings = PathTrainingConfig(steps=steps + 2)
     model = PathDiffuser(config)
     model.signal.copy_(noise_schedule(config.diffusion_steps))
-    batches = PathBatches(dataset(config.dim, SCENES_TRAINED)(), model, settings, device)
+    team = Team(device)
+    batches = PathBatches(dataset(config.dim, SCENES_TRAINED)(), model, settings, team)
     model = model.to(device)
     model.spread.copy_(batches.spread(model))
 
@@ -133,8 +134,9 @@ def training(config: PathDiffuserConfig, device: torch.device, steps: int) -> Wo
 
         with tempfile.TemporaryDirectory() as folder:
             train(
-                model, batches.loss, lambda _: {}, settings, folder, identity={}, progress=progress
-            )
+                model, batches.loss, lambda _: {}, settings, folder,
+                identity={}, team=team, progress=progress,
+            )  # fmt: skip
         return np.diff(ends)[:-1].tolist()
 
     return work
