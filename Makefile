@@ -126,7 +126,7 @@ spectrum-2d = evaluate spectrum --env 2d $(ON)
 spectrum-panda = evaluate spectrum --env panda $(ON)
 ablations-block-reach-2d = evaluate ablations --model block-reach-2d --goals 2..6 \
 	--data $(RUNS)/block-reach-2d/data --out $(RUNS)/block-reach-2d/ablations \
-	--training-steps 2000 --scene-numbers 400 12800 $(SHARED)
+	--training-steps 2000 --scene-numbers 400 $(SHARED)
 MEASURED := $(foreach model,$(MODELS),dial-$(model) closed-loop-$(model) execution-$(model)) \
 	transfer-panda-block-reach paper-scene paper-scene-executed panda-scene \
 	table1-2d table1-panda table1-pandagym unseen-2d unseen-panda spectrum-2d spectrum-panda \
