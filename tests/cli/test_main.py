@@ -104,7 +104,11 @@ def test_interrupt_says_what_resumes(monkeypatch, tmp_path, capsys):
 def test_interrupt_from_the_keyboard(here):
     words = "data --scenes 100000 --goals 2 --cells 6 --per-scene 3 --workers 2 --out d"
     line = [sys.executable, "-m", "legibility", *words.split()]
-    process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        line, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # Whoever runs the tests in the background of a shell has them ignore it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     deadline = time.monotonic() + 120
     # Until both workers are at work: one that is still starting would tell of the interrupt itself.
     while len(list(Path().glob("d/*.parquet"))) < 3 and time.monotonic() < deadline:
