@@ -101,7 +101,7 @@ def test_interrupt_says_what_resumes(monkeypatch, tmp_path, capsys):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_interrupt_from_the_keyboard(here):
+def test_interrupt_from_the_keyboard(here, request):
     words = "data --scenes 100000 --goals 2 --cells 6 --per-scene 3 --workers 2 --out d"
     line = [sys.executable, "-m", "legibility", *words.split()]
     process = subprocess.Popen(
@@ -109,6 +109,7 @@ def test_interrupt_from_the_keyboard(here):
         # Whoever runs the tests in the background of a shell has them ignore it.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
+    request.addfinalizer(process.kill)  # which does nothing to one that has ended
     deadline = time.monotonic() + 120
     # Until both workers are at work: one that is still starting would tell of the interrupt itself.
     while len(list(Path().glob("d/*.parquet"))) < 3 and time.monotonic() < deadline:

@@ -15,12 +15,7 @@ from ..evaluation.ablations import COLUMNS, AblationsConfig, evaluate_ablations
 from ..evaluation.comparison import METHODS, METRICS, TESTED
 from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
 from ..evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
-from ..evaluation.spectrum import (
-    Spectrum,
-    SpectrumConfig,
-    evaluate_spectrum,
-    spectrum_figure,
-)
+from ..evaluation.spectrum import Spectrum, SpectrumConfig, evaluate_spectrum
 from ..evaluation.table1 import TARGETS, Table1Config, evaluate_table1
 from ..evaluation.unseen import UnseenConfig, evaluate_unseen
 from ..models.goal_policy import GoalPolicy
@@ -284,6 +279,8 @@ def spectrum(
     with progress_bar("rollouts") as progress:
         result = evaluate_spectrum(modulator, settings, progress=progress)
     if figure is not None:
+        from ..evaluation.spectrum_figure import spectrum_figure
+
         spectrum_figure([Spectrum.of_result(result, letter) for letter in TARGETS], figure)
     write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     rows = table(

@@ -133,7 +133,8 @@ def execute(
 
         execution_figure(rollouts, figure)
     if spectrum is not None:
-        from ..evaluation.spectrum import Spectrum, spectrum_figure
+        from ..evaluation.spectrum import Spectrum
+        from ..evaluation.spectrum_figure import spectrum_figure
         from ..evaluation.table1 import SCENES
 
         spectrum_figure([Spectrum.of(rollouts, SCENES[place.dim].spacing)], spectrum)

@@ -22,7 +22,8 @@ from ..evaluation.card import (
 )
 from ..evaluation.comparison import METHODS
 from ..evaluation.figures import dial_figure
-from ..evaluation.spectrum import Spectrum, spectrum_figure
+from ..evaluation.spectrum import Spectrum
+from ..evaluation.spectrum_figure import spectrum_figure
 from ..evaluation.tables import (
     spectrum_section,
     table1_csv,
