@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from legibility.cli import main
+from legibility.evaluation.baseline_card import render_baseline_card
 from legibility.evaluation.bench_table import bench_section
 from legibility.evaluation.card import (
     ablations_section,
     dial_section,
     execution_section,
-    render_baseline_card,
     render_card,
 )
 from legibility.evaluation.comparison import METHODS

@@ -11,12 +11,12 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
+from ..evaluation.baseline_card import render_baseline_card
 from ..evaluation.bench_table import bench_section
 from ..evaluation.card import (
     ablations_section,
     dial_section,
     execution_section,
-    render_baseline_card,
     render_card,
     replace_table,
 )
