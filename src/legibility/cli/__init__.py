@@ -23,6 +23,7 @@ _VERBS = {
     "score": "rate trajectories of a CSV file by every metric; no model is needed",
     "data": "make a dataset of labelled trajectories, or describe one",
     "train path": "train stage 1, the path diffuser",
+    "train distill": "make stage 1 fast: a student that draws in one step",
     "train policy": "train stage 2, the path-guided policy",
     "train diffusion-policy": "train a baseline that knows the goal alone",
     "train legibility-diffuser": "train a baseline that is guided away from the other goals",

@@ -205,6 +205,8 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
         late = time.monotonic() - started > _PATIENCE
         if late and console.is_terminal and not bar.live.is_started and done < total:
             bar.start()
+        if done >= total and bar.live.is_started:
+            bar.stop()  # another one may follow
         if line:
             bar.console.print(Text(line))
 

@@ -15,17 +15,20 @@ from tyro.conf import arg
 
 from ..dataset import Dataset, DatasetConfig, generate
 from ..demonstrations import Demonstrations
-from ..errors import InvalidInputError
+from ..errors import CheckpointError, InvalidInputError
+from ..files import file_hash
 from ..models.goal_policy import GoalPolicyConfig
 from ..models.path_diffuser import PathDiffuserConfig
 from ..models.path_policy import PathPolicyConfig
-from ..models.pretrained import save_stage
+from ..models.pretrained import load_stages, pretrained_folder, save_stage
 from ..training import (
     LOG,
+    DistillationConfig,
     PathTrainingConfig,
     PolicyTrainingConfig,
     Team,
     TrainingConfig,
+    distill_path,
     train_goal,
     train_path,
     train_policy,
@@ -45,6 +48,7 @@ from .output import (
 
 _PathTraining = flags(PathTrainingConfig)
 _PathModel = flags(PathDiffuserConfig, "dim", "sigma", "alpha", "label")  # the data fixes these
+_Distillation = flags(DistillationConfig, "dropout")
 _PolicyTraining = flags(PolicyTrainingConfig)
 _PolicyModel = flags(PathPolicyConfig, "dim", "limit")
 _GoalModel = flags(GoalPolicyConfig, "dim", "limit", "guidance", "guidance_decay", "guidance_share")
@@ -95,6 +99,71 @@ def path(
         )
 
     _train("path", run, settings, facts, checks.digest, out, weights, team, json)
+
+
+def distill(
+    training: Annotated[Any, arg(constructor=_Distillation)],
+    workers: Workers,
+    teacher: Annotated[str, arg(metavar="NAME")],
+    data: Annotated[Path, arg(metavar="DIR")],
+    out: Annotated[Path, arg(metavar="DIR")],
+    validation: Folder = None,
+    weights: Folder = None,
+    device: OptionalText = None,
+    json: OutputFile = None,
+) -> None:
+    """Train a student of stage 1 that draws in one step what its teacher draws in several, guided.
+
+    Its weights are used as those of any stage 1; the teacher's stage 2, if there is one, is saved
+    beside them. Loss and validation of the dial go to OUT/log.jsonl. Interrupted, the same command
+    resumes from the last checkpoint.
+
+    Args:
+        training: how it is trained.
+        workers: who makes the validation data.
+        teacher: name or folder of the weights that are distilled.
+        data: folder of a dataset with the teacher's labels, made by `legibility data`.
+        out: folder of the log, the checkpoint and the weights.
+        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
+        weights: where the weights are saved; OUT/weights if not given.
+        device: cpu or cuda; if not given, a GPU where there is one.
+        json: the settings and the last validation as JSON.
+    """
+    settings = made(DistillationConfig, training)
+    check_file(json, "JSON file")
+    folder = pretrained_folder(teacher)
+    stages, made_by = load_stages(folder)
+    if "path" not in stages:
+        raise CheckpointError(f"{folder} has no stage 1")
+    dataset = Dataset.load(data)
+    weights = weights or out / "weights"
+    check_folder(out, "checkpoint")
+    check_folder(weights, "weights")
+    team = Team.join(device)
+    checks = _validation(dataset.config, validation, out, workers, team)
+    facts = {
+        "data": dataset.config.to_dict(),
+        "digest": dataset.digest,
+        "teacher": {
+            "sha256": file_hash(folder / "path.safetensors"),
+            "training": made_by["path"],
+            **{
+                name: getattr(stages["path"].config, name)
+                for name in ("sampling_steps", "guidance")
+            },
+        },
+    }
+
+    def run(progress: Callable[..., None]) -> nn.Module:
+        with progress_bar("scenes of the teacher") as drawn:
+            return distill_path(
+                stages["path"], dataset, checks, out, settings,
+                device=device, progress=progress, drawn=drawn,
+            )  # fmt: skip
+
+    _train("path", run, settings, facts, checks.digest, out, weights, team, json)
+    if "policy" in stages and team.main:
+        save_stage(weights, "policy", stages["policy"], made_by["policy"])
 
 
 def policy(

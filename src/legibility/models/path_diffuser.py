@@ -322,7 +322,7 @@ class PathDiffuser(nn.Module):
         for first in range(0, len(level), _AT_ONCE):
             rows = slice(first, first + _AT_ONCE)
             part = seen if len(seen.vector) == 1 else seen.map(lambda x, rows=rows: x[rows])
-            parts.append(self._denoise(part, context[:, rows], noise[rows], weight[rows], times))
+            parts.append(self.denoise(part, context[:, rows], noise[rows], times, weight[rows]))
         return torch.cat(parts)
 
     def _contexts(self, conditions: Conditions, level: Tensor, guided: bool) -> Tensor:
@@ -335,17 +335,24 @@ class PathDiffuser(nn.Module):
         both = self.encode(torch.cat([scene, free]), torch.cat([level, level[: len(free)]]), keep)
         return torch.stack([both[:size], both[size:].expand(size, -1)])
 
-    def _denoise(
+    def denoise(
         self,
         conditions: Conditions,
         context: Tensor,
         noise: Tensor,
-        weight: Tensor,
         times: Sequence[int],
+        weight: Tensor | float = 0.0,
     ) -> Tensor:
-        """Waypoints `(B, K, D)` of contexts `(1 or 2, B, E)`, guided by `weight (B, 1, 1)`.
+        """Waypoints `(B, K, D)` of `noise (B, K, D)` at the diffusion steps `times`.
 
         What modulates the blocks does not depend on the latent: it is computed for all steps first.
+
+        Args:
+            conditions: of the `B` scenes, or of one for all.
+            context: `(1, B, E)` from `encode`, or `(2, B, E)` with that of nothing besides.
+            noise: standard normal.
+            times: see `sampling_timesteps`.
+            weight: `(B, 1, 1)` of the guidance away from the second context.
         """
         moments = self.moments(torch.tensor(times, device=noise.device))[:, None, None]
         modulations = self.unet.modulations(F.silu(context + moments).flatten(1, 2))

@@ -1,5 +1,6 @@
 """How weights are made: one loop for every model, and what each is trained on."""
 
+from .distillation import DistillationConfig, distill_path
 from .goal import train_goal, tune_guidance, validate_goal
 from .loop import CHECKPOINT, LOG, TrainingConfig, train
 from .path import FrameScorer, PathBatches, PathTrainingConfig, train_path, validate_dial
@@ -9,6 +10,7 @@ from .team import Team, choose_device
 __all__ = [
     "CHECKPOINT",
     "LOG",
+    "DistillationConfig",
     "FrameScorer",
     "PathBatches",
     "PathTrainingConfig",
@@ -17,6 +19,7 @@ __all__ = [
     "Team",
     "TrainingConfig",
     "choose_device",
+    "distill_path",
     "train",
     "train_goal",
     "train_path",

@@ -22,7 +22,14 @@ from ..models.path_diffuser import Conditions, PathDiffuser, PathDiffuserConfig
 from .loop import Progress, TrainingConfig, train
 from .team import Team
 
-__all__ = ["FrameScorer", "PathBatches", "PathTrainingConfig", "train_path", "validate_dial"]
+__all__ = [
+    "FrameScorer",
+    "PathBatches",
+    "PathTrainingConfig",
+    "check_data",
+    "train_path",
+    "validate_dial",
+]
 
 _LEAST_COST = 1e-30
 
@@ -205,15 +212,10 @@ def train_path(
     """
     config = config or PathTrainingConfig()
     settings |= {name: getattr(data.config, name) for name in ("dim", "sigma", "alpha", "label")}
-    if "evaluation" in (data.config.stream, validation.config.stream):
-        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
-    for name, value in settings.items():
-        found = getattr(validation.config, name, value)
-        if found != value:
-            raise InvalidInputError(f"the validation data have {name} {found}, the data {value}")
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         model = PathDiffuser(PathDiffuserConfig(**settings))
+    check_data(model.config, data, validation)
     team = Team.join(device)
     batches = PathBatches(data, model, config, team)
     model = model.to(team.device)
@@ -232,6 +234,23 @@ def train_path(
         progress=progress,
     )
     return trained.to("cpu")
+
+
+def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -> None:
+    """Whether both are labelled as a model of `config` means ℓ, and neither is for evaluations.
+
+    Raises:
+        InvalidInputError: they are not.
+    """
+    if "evaluation" in (data.config.stream, validation.config.stream):
+        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
+    for name in ("dim", "sigma", "alpha", "label"):
+        value = getattr(config, name)
+        for what, found in (("data", data), ("validation data", validation)):
+            if getattr(found.config, name) != value:
+                raise InvalidInputError(
+                    f"the {what} have {name} {getattr(found.config, name)}, the model {value}"
+                )
 
 
 @torch.no_grad()

@@ -1,0 +1,172 @@
+"""How stage 1 is made fast: a student that draws in one step what its teacher draws guided in many.
+
+Guidance and steps of the teacher are distilled at once (Luhman & Luhman 2021; Meng et al. 2023):
+from the same noise the student is to end where the teacher ends. As its path is known after the one
+step, the label that the path achieves is a loss as well, so that the dial may be the more exact.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..checks import bounded, count
+from ..dataset import Dataset
+from ..errors import InvalidInputError
+from ..models.diffusion import sampling_timesteps
+from ..models.path_diffuser import PathDiffuser
+from .loop import Progress, train
+from .path import PathBatches, PathTrainingConfig, check_data, validate_dial
+from .team import Team
+
+__all__ = ["DistillationConfig", "distill_path"]
+
+_AT_ONCE = 16  # scenes that the teacher draws for
+
+
+@dataclass(frozen=True)
+class DistillationConfig(PathTrainingConfig):
+    """How a student is trained.
+
+    Attributes:
+        sampling_steps: of the student.
+        pairs: of noise and path that the teacher draws in each scene, ℓ evenly over the dial.
+        ends: share of them at ℓ = ±1.
+    """
+
+    steps: int = 8000
+    learning_rate: float = 5e-4
+    dropout: float = 0.0
+    score_weight: float = 1.0
+    sampling_steps: int = 1
+    pairs: int = 64
+    ends: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count("sampling_steps", self.sampling_steps)
+        count("pairs", self.pairs)
+        bounded("ends", self.ends, 0, 1)
+
+
+class DistillationBatches(PathBatches):
+    """What the teacher draws in every scene of the dataset, and the loss of the student."""
+
+    config: DistillationConfig
+
+    def draw(self, teacher: PathDiffuser, drawn: Callable[[int, int], None]) -> None:
+        """Let the `teacher` draw the pairs that the student learns."""
+        num, pairs = len(self.labels), self.config.pairs
+        generator = torch.Generator().manual_seed(self.config.seed)
+        shape = (num, pairs, *self.waypoints.shape[2:])
+        spread = (torch.arange(pairs) + torch.rand(num, pairs, generator=generator)) / pairs
+        levels = ((2 * spread - 1) / (1 - self.config.ends)).clamp(-1, 1)
+        self.labels = levels.to(self.team.device)
+        self.noise = torch.randn(shape, generator=generator).to(self.team.device)
+        self.waypoints = torch.empty(shape, device=self.team.device)
+        for first in range(0, num, _AT_ONCE):
+            drawn(first, num)
+            rows = slice(first, first + _AT_ONCE)
+            scenes = torch.arange(num)[rows].repeat_interleave(pairs).to(self.team.device)
+            self.waypoints[rows] = teacher.sample(
+                self.conditions.map(lambda x, scenes=scenes: x[scenes]),
+                self.labels[rows].flatten(),
+                self.noise[rows].flatten(0, 1),
+            ).unflatten(0, (-1, pairs))
+        drawn(num, num)
+
+    def loss(
+        self, model: PathDiffuser, generator: torch.Generator
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Squared distance from the teacher's paths; the achieved label and walls besides."""
+        config, per = self.config, self.config.per_scene
+        scenes = torch.randint(len(self.labels), (config.scenes,), generator=generator)
+        chosen = torch.randint(self.labels.shape[1], (config.scenes, per), generator=generator)
+        scenes, chosen = (self.team.share(x).to(self.team.device) for x in (scenes, chosen))
+        each, chosen = scenes.repeat_interleave(per), chosen.flatten()
+        level, noise = self.labels[each, chosen], self.noise[each, chosen]
+        conditions = self.conditions.without_image().map(lambda x: x[each])
+        times = sampling_timesteps(len(model.signal), config.sampling_steps)
+        with self.team.autocast():
+            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]))
+            context = model.encode(scene.repeat_interleave(per, 0), level)[None]
+            found = model.denoise(conditions, context, noise, times)
+        found = found.float()
+        wanted = model.to_latent(self.waypoints[each, chosen])
+        path_loss = F.mse_loss(model.to_latent(found), wanted)
+        points = self.scorer.curve(found)
+        achieved = self.scorer.label(conditions, each, points)
+        label_loss = F.smooth_l1_loss(achieved, level, beta=0.1)
+        wall_loss = F.relu(-conditions.wall_distance(points)).mean()
+        total = path_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
+        parts = {"path": path_loss, "label": label_loss, "wall": wall_loss}
+        return total, {name: part.detach() for name, part in parts.items()}
+
+
+def distill_path(
+    teacher: PathDiffuser,
+    data: Dataset,
+    validation: Dataset,
+    folder: str | Path,
+    config: DistillationConfig | None = None,
+    *,
+    device: str | None = None,
+    progress: Progress = lambda step, steps, figures: None,
+    drawn: Callable[[int, int], None] = lambda done, total: None,
+) -> PathDiffuser:
+    """Train a student that draws what `teacher` draws, in fewer steps and without guidance.
+
+    Args:
+        teacher: a trained stage 1.
+        data: of the teacher's labels; the student learns in its scenes.
+        validation: of another seed stream; its scenes measure the dial while training.
+        folder: of the checkpoint and the log; an interrupted run goes on from there.
+        config: how to train.
+        device: where to; a GPU where there is one.
+        progress: see `train`.
+        drawn: called with the scenes that the teacher has drawn for, and all of them.
+
+    Returns:
+        The student, on the CPU: a stage 1 as any other, with `sampling_steps` of its own.
+    """
+    config = config or DistillationConfig()
+    if config.sampling_steps > teacher.config.diffusion_steps:
+        raise InvalidInputError(
+            f"sampling_steps must be at most {teacher.config.diffusion_steps}, "
+            f"got {config.sampling_steps}"
+        )
+    check_data(teacher.config, data, validation)
+    team = Team.join(device)
+    settings = replace(teacher.config, sampling_steps=config.sampling_steps, guidance=0.0)
+    student = PathDiffuser(settings).to(team.device)
+    student.load_state_dict(teacher.state_dict())
+    batches = DistillationBatches(data, student, config, team)
+    batches.draw(teacher.to(team.device), drawn if team.main else lambda done, total: None)
+    checks = PathBatches(validation, student, config, team)
+    identity = {"model": settings.to_dict(), "data": data.digest, "teacher": _digest(teacher)}
+    trained = train(
+        student,
+        batches.loss,
+        lambda m: validate_dial(m, checks),
+        config,
+        folder,
+        identity=identity,
+        team=team,
+        progress=progress,
+    )
+    teacher.to("cpu")
+    return trained.to("cpu")
+
+
+def _digest(model: PathDiffuser) -> str:
+    """SHA-256 over the settings and the weights."""
+    found = hashlib.sha256(repr(model.config).encode())
+    for name, tensor in sorted(model.state_dict().items()):
+        found.update(name.encode() + tensor.cpu().numpy().tobytes())
+    return found.hexdigest()
