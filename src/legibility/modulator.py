@@ -381,7 +381,7 @@ class Modulator:
         ratio = np.empty(len(levels))
         rows = [slice(None)] if len(scenes) == 1 else [slice(i, i + 1) for i in range(len(levels))]
         for row, scene, target in zip(rows, scenes, targets, strict=True):
-            field = InformationPotentialField(scene.goals, self.config.sigma)
+            field = InformationPotentialField.of(scene, self.config.sigma)
             straight = np.linspace(scene.start, scene.goals[target], SCORE_POINTS)
             curves = np.clip(path_curve(drawn[row], SCORE_POINTS), *scene.workspace)
             curves = np.concatenate([curves, straight[None]])

@@ -57,7 +57,7 @@ class Path:
     ) -> Path:
         """A path through `waypoints (B?, K + 2, D)` [m], brought into the workspace."""
         inside = scene.contains(path_curve(waypoints, SCORE_POINTS), 1e-6).all(-1)
-        field = InformationPotentialField(scene.goals, sigma)
+        field = InformationPotentialField.of(scene, sigma)
         waypoints = np.clip(waypoints, *scene.workspace)
         return cls(scene, target, legibility, waypoints, ~inside, field, alpha, label)
 

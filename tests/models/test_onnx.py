@@ -1,5 +1,6 @@
 """What onnxruntime draws is what PyTorch draws."""
 
+import pickle
 import sys
 
 import numpy as np
@@ -80,14 +81,16 @@ def test_large_batches_and_many_scenes_are_the_same_whatever_the_threads(pair):
         torch.set_num_threads(threads)
 
 
+@pytest.mark.parametrize("field", [True, False])
 @pytest.mark.parametrize("channels", [(8,), (8, 16), (8, 16, 16), (8, 8, 16, 16)])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_networks_of_any_shape(dim, channels):
+def test_networks_of_any_shape(dim, channels, field):
     from legibility.models.onnx import OnnxPathDiffuser
 
     torch.manual_seed(0)
+    shape = {"condition": 16, "encoder_width": 8, "resolution": 16}
     model = PathDiffuser(
-        PathDiffuserConfig(dim=dim, channels=channels, condition=16, encoder_width=8, resolution=16)
+        PathDiffuserConfig(dim=dim, channels=channels, field=field, **shape)
     ).eval()
     torch.nn.init.normal_(model.unet.outlet.weight, std=0.3)
     torch.nn.init.normal_(model.no_field)
@@ -140,6 +143,21 @@ def test_executed_motions_are_the_same():
     for one, two in zip(*rollouts, strict=True):
         assert (one.reason, len(one.states)) == (two.reason, len(two.states))
         np.testing.assert_allclose(two.states, one.states, atol=1e-4)
+
+
+def test_a_model_goes_to_another_process():
+    model = Modulator.from_pretrained("block-reach-2d", backend="onnx")
+    other = pickle.loads(pickle.dumps(model))
+    scene = Scene.random(np.random.default_rng(0))
+    expected, found = (m.plan(scene, 0, [-1, 0.3]).waypoints for m in (model, other))
+    np.testing.assert_array_equal(found, expected)
+    rollouts = []
+    for each in (model, other):
+        env = BlockReach2DVector(2)
+        env.reset(seed=0)
+        rollouts.append(each.execute(env, legibility=[-1, 1], seed=0))
+    for one, two in zip(*rollouts, strict=True):
+        np.testing.assert_array_equal(two.states, one.states)
 
 
 def test_missing_runtime_is_named(monkeypatch):

@@ -75,7 +75,7 @@ def search(
     curves = bezier_trajectories(controls, SCORE_POINTS)
     inside = np.append(True, scene.contains(curves[1:]).all(-1))
     controls, curves = controls[inside], curves[inside]
-    field = InformationPotentialField(scene.goals, sigma)
+    field = InformationPotentialField.of(scene, sigma)
     scores = legibility_score(curves, field, target, alpha)
     labels = rank_label(scores) if label == "rank" else anchored_label(scores, float(scores[0]))
     best = np.argmin(np.abs(labels - level))

@@ -158,7 +158,7 @@ class Spectrum:
         """Of what `evaluate_spectrum` returned, or its JSON, toward target R or G."""
         scene, own = Scene.from_dict(result["scene"]), result["targets"][letter]
         return cls(
-            scene, TARGETS[letter], InformationPotentialField(scene.goals, result["sigma"]),
+            scene, TARGETS[letter], InformationPotentialField.of(scene, result["sigma"]),
             np.array(result["levels"]), [np.array(s) for s in own["states"]],
             np.array(own["costs"]), np.array(own["angles"]),
         )  # fmt: skip

@@ -42,6 +42,7 @@ SCENES_TRAINED = 4
 """Scenes that a step of training draws its batch from; its time does not depend on them."""
 
 _NEVER = 1e-12
+_FRESH = 100  # scenes in turns: more than any cache of a plan's parts keeps
 
 
 def bench_scene(dim: int, goals: int = 4, index: int = 0) -> Scene:
@@ -58,10 +59,17 @@ def levels(batch: int) -> Array:
 def planning(
     modulator: Modulator, batch: int = 1, *, goals: int = 4, candidates: int = 1
 ) -> Callable[[], object]:
-    """Plan `batch` paths in one scene, other ones each time."""
-    scene, asked = bench_scene(modulator.config.dim, goals), levels(batch)
-    seeds = itertools.count()
-    return lambda: modulator.plan(scene, 0, asked, seed=next(seeds), num_candidates=candidates)
+    """Plan `batch` paths in a scene, another one each time, of which nothing is known yet.
+
+    With candidates it is the same scene, as its archive is kept.
+    """
+    fresh = candidates == 1
+    scenes = [bench_scene(modulator.config.dim, goals, i) for i in range(_FRESH if fresh else 1)]
+    asked, seeds = levels(batch), itertools.count()
+    places = itertools.cycle(scenes)
+    return lambda: modulator.plan(
+        next(places), 0, asked, seed=next(seeds), num_candidates=candidates
+    )
 
 
 def many_scenes(modulator: Modulator, scenes: int) -> Callable[[], object]:

@@ -17,6 +17,7 @@ from ..checks import (
     target_index,
 )
 from ..errors import InvalidInputError
+from ..scene import Scene
 
 __all__ = ["InformationPotentialField"]
 
@@ -56,6 +57,12 @@ class InformationPotentialField:
             )
         if not self._slope.any():
             raise InvalidInputError(f"sigma must let the goals be told apart, got {sigma}")
+
+    @classmethod
+    @functools.lru_cache(maxsize=64)  # a plan asks for it four times
+    def of(cls, scene: Scene, sigma: float) -> InformationPotentialField:
+        """The field of a scene's goals under a uniform prior; the last ones are kept."""
+        return cls(scene.goals, sigma)
 
     @property
     def num_goals(self) -> int:

@@ -147,6 +147,7 @@ def scene_odds(
     return slopes.astype(np.float32), intercepts.astype(np.float32)
 
 
+@functools.lru_cache(maxsize=64)  # the image and the exact values need it
 def _odds(scene: Scene, target: int, field: InformationPotentialField) -> tuple[Array, Array]:
     """`scene_odds` in full precision."""
     corners = np.concatenate([np.zeros((1, scene.dim)), np.eye(scene.dim)])

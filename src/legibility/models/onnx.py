@@ -49,6 +49,9 @@ class OnnxPathDiffuser:
         self._session = lru_cache(lambda steps, guided: session(_path_graph(model, steps, guided)))
         self._session(model.config.sampling_steps, bool(model.config.guidance))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.model,)  # a session cannot be sent to another process
+
     def sample(
         self,
         conditions: Conditions,
@@ -91,6 +94,9 @@ class OnnxPathPolicy:
         self._session = lru_cache(lambda steps: session(_policy_graph(model, steps)))
         self._session(model.config.sampling_steps)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.model,)
+
     def act(self, observation: Observation, noise: Tensor, steps: int | None = None) -> Array:
         """See `PathPolicy.act`; other steps than the model's own need a graph of their own."""
         each = {
@@ -124,7 +130,7 @@ def _path_graph(model: PathDiffuser, steps: int, guided: bool) -> bytes:
     times = sampling_timesteps(config.diffusion_steps, steps)
     moments = model.moments(torch.tensor(times))
     modulated = modulations(g, model.unet, _context(g, model, guided), moments)
-    reading = _reader(g, dim)
+    reading = _reader(g, dim, config.field)
     latent = clean = "noise"
     for now, after, by in zip(times, [*times[1:], None], modulated, strict=True):
         inputs = g.Concat(latent, *reading(_from_latent(g, model, latent)), axis=-1)
@@ -172,7 +178,9 @@ def _policy_graph(model: PathPolicy, steps: int) -> bytes:
 def _context(g: Graph, model: PathDiffuser, guided: bool) -> str:
     """`(B, E)` of scenes and levels; guided `(2B, E)`, of nothing besides."""
     place = linear(g, "vector", model.place)
-    features = g.Add(_image(g, model), _distractors(g, model))
+    features = model.no_field
+    if model.config.field:
+        features = g.Add(_image(g, model), _distractors(g, model))
     scene = sequence(g, g.Add(features, place), model.scene)
     level = fourier(g, "level", LEVEL_FREQUENCIES)
     context = g.Add(scene, linear(g, level, model.level))
@@ -221,7 +229,7 @@ def _distractors(g: Graph, model: PathDiffuser) -> str:
     return linear(g, g.Concat(total, most, axis=1), encoder.head)
 
 
-def _reader(g: Graph, dim: int) -> Callable[[str], tuple[str, str, str]]:
+def _reader(g: Graph, dim: int, field: bool) -> Callable[[str], tuple[str, str, str]]:
     """What reads the field and the walls at points `(B, K, D)`, see `PathDiffuser.forward`."""
     last = dim + dim * dim
     axes = g.Reshape(g.Slice("vector", [dim], [last], [1]), [-1, dim, dim])
@@ -236,11 +244,13 @@ def _reader(g: Graph, dim: int) -> Callable[[str], tuple[str, str, str]]:
         shares = g.Mul(g.Exp(g.Sub(odds, against)), g.Sigmoid(against))
         along = g.Abs(g.MatMul(g.Sub(points, centre), axes))
         wall = g.ReduceMin(g.Sub(half, along), [2], keepdims=1)
-        return (
+        seen = (
             g.Sub(g.Log(g.Add(g.Softplus(against), 1.0)), 1.0),
             g.Mul(g.Asinh(g.MatMul(shares, "slopes")), 0.5),
-            g.Tanh(g.Mul(wall, 2.0)),
         )
+        if not field:
+            seen = [g.Mul(x, 0.0) for x in seen]
+        return (*seen, g.Tanh(g.Mul(wall, 2.0)))
 
     return reading
 

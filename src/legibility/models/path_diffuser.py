@@ -134,7 +134,7 @@ class Conditions:
         slopes = np.zeros((len(scenes), most, scenes[0].dim), dtype=np.float32)
         intercepts = np.full((len(scenes), most), NO_ODDS, dtype=np.float32)
         for i, (scene, target) in enumerate(zip(scenes, targets, strict=True)):
-            field = InformationPotentialField(scene.goals, sigma)
+            field = InformationPotentialField.of(scene, sigma)
             images.append(scene_image(scene, target, field, resolution))
             vectors.append(scene_vector(scene, target, field))
             others = scene.num_goals - 1

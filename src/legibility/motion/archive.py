@@ -196,7 +196,7 @@ def build_archive(
     if label not in LABELS:
         raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {label!r}")
     sigma = DEFAULT_SIGMA[scene.dim] if sigma is None else sigma
-    field = InformationPotentialField(scene.goals, sigma)
+    field = InformationPotentialField.of(scene, sigma)
     alpha = bounded("alpha", alpha, 0)
     cells = count("cells", DEFAULT_CELLS[scene.dim] if cells is None else cells, low=2)
     random_candidates = count("random_candidates", random_candidates)
