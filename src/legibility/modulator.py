@@ -56,6 +56,9 @@ class Modulator:
         backend: what runs the networks, `torch` or `onnx` (onnxruntime: the same results to
             rounding, sooner); `onnx` keeps to the weights of now.
 
+    Attributes:
+        sampler: `PathDiffuser.sample`, as the backend runs it.
+
     Raises:
         MissingExtraError: onnxruntime is asked for and not installed.
     """
@@ -81,11 +84,11 @@ class Modulator:
         self.training = training or {}
         if backend not in BACKENDS:
             raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
-        self._sample, self._actor = self.path_diffuser.sample, path_policy
+        self.sampler, self._actor = self.path_diffuser.sample, path_policy
         if backend == "onnx":
             from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy
 
-            self._sample = OnnxPathDiffuser(path_diffuser).sample
+            self.sampler = OnnxPathDiffuser(path_diffuser).sample
             self._actor = path_policy and OnnxPathPolicy(path_policy)
 
     @property
@@ -419,7 +422,7 @@ class Modulator:
         size, dim = len(levels), self.config.dim
         generator = torch.Generator().manual_seed(seed)
         noise = torch.randn(size, NUM_WAYPOINTS, dim, generator=generator)
-        drawn = self._sample(
+        drawn = self.sampler(
             model.conditions(scenes, targets),
             torch.from_numpy(levels.astype(np.float32)),
             noise,

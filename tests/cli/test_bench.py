@@ -83,7 +83,9 @@ def test_ratios_hold_together(document):
         for own in model["backends"].values():
             for batch, floor in model["floor"].items():
                 plan = own["growth"]["batch"]["ms"][batch]["median"]
-                assert own["over_floor"][batch] == pytest.approx(plan / floor["ms"])
+                assert own["paths_per_second"][batch] == pytest.approx(1e3 * int(batch) / plan)
+                drawn = own["draw_ms"][batch]["median"]
+                assert own["over_floor"][batch] == pytest.approx(drawn / floor["ms"])
 
 
 def test_report(folder, document, cli, capsys):

@@ -102,9 +102,9 @@ def run_bench(
         `models`: of each its parameters, the `limit` of the machine at the time (operations and
         bytes a second), `floor` by batch (the operations and bytes that drawing needs, and the time
         that they cost at least), and by backend `growth` (times by batch, goals, candidates and
-        scenes, with the exponent of a power law), `plan_one_core_ms`, `over_floor`, `step_ms` (a
-        control step on one core, amortised over its chunk), `rollouts_per_second`, and `process`
-        (start-up and memory);
+        scenes, with the exponent of a power law), `plan_one_core_ms`, `paths_per_second`, `draw_ms`
+        (stage 1 alone), `over_floor` (that over the least), `step_ms` (a control step on one core,
+        amortised over its chunk), `rollouts_per_second`, and `process` (start-up and memory);
         `published`: parameters, differences, times, and by backend and batch the `ratio` of its
         time to ours;
         `archive`, `dataset`, `training`: by dimension, how many a second, growth and memory;
@@ -182,6 +182,8 @@ def _plans(name: str, backends: Backends, config: BenchConfig) -> dict[str, Any]
     }
     for backend, model in backends.items():
         works[backend, "one core"] = _alone(workloads.planning(model))
+        for batch in config.batches:
+            works[backend, "draw", batch] = timed(workloads.drawing(model, batch))
     stage = backends["torch"].path_diffuser
     works |= limits(stage.spread.device)
     times = interleaved(works, config.seconds, config.rounds)
@@ -195,9 +197,12 @@ def _plans(name: str, backends: Backends, config: BenchConfig) -> dict[str, Any]
     rows: dict[str, Any] = {}
     for backend in backends:
         plans = _curve({b: times[backend, b] for b in config.batches})
+        draws = {str(b): figure(times[backend, "draw", b], 1e3) for b in config.batches}
         rows[backend] = {
             "plan_one_core_ms": figure(times[backend, "one core"], 1e3),
-            "over_floor": {b: plan["median"] / floor[b]["ms"] for b, plan in plans["ms"].items()},
+            "paths_per_second": {b: 1e3 * int(b) / p["median"] for b, p in plans["ms"].items()},
+            "draw_ms": draws,
+            "over_floor": {b: draw["median"] / floor[b]["ms"] for b, draw in draws.items()},
             "growth": {"batch": plans},
         }
     own = {

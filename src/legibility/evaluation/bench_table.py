@@ -36,31 +36,48 @@ all from scene to checked path.""")
 def _planning(result: dict[str, Any]) -> str:
     batches = list(next(iter(result["models"].values()))["floor"])
     head = ["model", "backend", *(f"{int(b):,} at once [ms]" for b in batches)]
-    head += ["one, on one core [ms]", "control step [ms]", "rollouts a second"]
+    head += [
+        f"paths a second, {int(batches[-1]):,} at once",
+        "one, on one core [ms]",
+        "control step [ms]",
+        "rollouts a second",
+    ]
     rows = []
     for name, backend, own in _each(result):
         plans = own["growth"]["batch"]["ms"]
         rows.append([
-            name, backend, *(_shown(plans[b]) for b in batches), _shown(own["plan_one_core_ms"]),
+            name, backend, *(_shown(plans[b]) for b in batches),
+            f"{own['paths_per_second'][batches[-1]]:,.0f}", _shown(own["plan_one_core_ms"]),
             *(_shown(own.get(key)) for key in ("step_ms", "rollouts_per_second")),
         ])  # fmt: skip
     return _table(head, rows)
 
 
 def _floor(result: dict[str, Any]) -> str:
-    lines = []
+    batches = list(next(iter(result["models"].values()))["floor"])
+    head = ["model", "operations and memory of one path", "floor of one [ms]"]
+    head += [f"floor of {int(batches[-1]):,} [ms]", "backend"]
+    head += [f"{int(b):,} drawn [ms]" for b in (batches[0], batches[-1])]
+    head += [f"over the floor, {int(b):,}" for b in batches]
+    rows, limits = [], []
     for name, model in result["models"].items():
-        batch, floor = list(model["floor"].items())[-1]
+        first, last = model["floor"][batches[0]], model["floor"][batches[-1]]
         flops, moved = (model["limit"][key]["median"] for key in model["limit"])
-        over = " and ".join(
-            f"{own['over_floor'][batch]:.1f} times as long by {backend}"
-            for backend, own in model["backends"].items()
-        )
-        lines.append(f"""\
-To draw {int(batch):,} paths {name} needs {floor["flops"] / 1e9:.3g} billion operations and
-{floor["bytes"] / 1e6:.3g} MB, at least {floor["ms"]:.3g} ms at the {flops / 1e9:.3g} GFLOP/s of a
-matrix product and the {moved / 1e9:.3g} GB/s of a copy here; a whole plan takes {over}.""")
-    return filled(" ".join(lines))
+        limits.append(f"{flops / 1e9:.3g} GFLOP/s and {moved / 1e9:.3g} GB/s")
+        for backend, own in model["backends"].items():
+            drawn = own["draw_ms"]
+            rows.append([
+                name, f"{first['flops'] / 1e6:.1f} MFLOP, {first['bytes'] / 1e6:.1f} MB",
+                _short(first["ms"]), _short(last["ms"]), backend,
+                _shown(drawn[batches[0]]), _shown(drawn[batches[-1]]),
+                *(f"{own['over_floor'][b]:.1f}" for b in batches),
+            ])  # fmt: skip
+    text = filled(f"""\
+The floor is the time that the operations of stage 1 need at least at the speed of a matrix product
+here, or its numbers at that of a copy, whichever is longer ({"; ".join(limits)}, measured beside
+each model). Held against it is drawing alone, without the scene's images before and the checks
+after it.""")
+    return f"{text}\n\n{_table(head, rows)}"
 
 
 def _published(result: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..checks import Array
+from ..curves import NUM_WAYPOINTS
 from ..dataset import Dataset, DatasetConfig, generate
 from ..envs import vector_type
 from ..models.diffusion import noise_schedule
@@ -28,6 +29,7 @@ __all__ = [
     "archive",
     "bench_scene",
     "dataset",
+    "drawing",
     "levels",
     "many_scenes",
     "on_device",
@@ -70,6 +72,20 @@ def planning(
     return lambda: modulator.plan(
         next(places), 0, asked, seed=next(seeds), num_candidates=candidates
     )
+
+
+def drawing(modulator: Modulator, batch: int) -> Callable[[], object]:
+    """Draw `batch` paths by stage 1 alone, in a scene whose conditions are there."""
+    dim = modulator.config.dim
+    conditions = modulator.path_diffuser.conditions([bench_scene(dim)], [0])
+    asked = torch.from_numpy(levels(batch).astype(np.float32))
+    noise = torch.randn(batch, NUM_WAYPOINTS, dim, generator=torch.Generator().manual_seed(0))
+
+    @torch.inference_mode()
+    def call() -> object:
+        return modulator.sampler(conditions, asked, noise)
+
+    return call
 
 
 def many_scenes(modulator: Modulator, scenes: int) -> Callable[[], object]:
