@@ -160,7 +160,7 @@ class Modulator:
         levels = legibility_levels(legibility)
         seed = random_seed("seed", seed)
         num_candidates = count("num_candidates", num_candidates)
-        guidance, steps = self._sampler(guidance, steps)
+        guidance, steps = self._sampling(guidance, steps)
         asked = np.repeat(np.atleast_1d(levels), num_candidates)
         draw = self._draw_on_its_side if num_candidates == 1 else self._draw
         drawn = draw([scene], [target], asked, seed, guidance, steps)
@@ -215,7 +215,7 @@ class Modulator:
                 )
                 for scene, target, level, word in zip(scenes, chosen, levels, words, strict=True)
             ]
-        guidance, steps = self._sampler(guidance, steps)
+        guidance, steps = self._sampling(guidance, steps)
         drawn = self._draw_on_its_side(
             scenes, chosen, levels, random_seed("seed", seed), guidance, steps
         )
@@ -334,7 +334,7 @@ class Modulator:
         config = self.config
         return scene_archive(scene, target, config.sigma, config.alpha, config.label)
 
-    def _sampler(
+    def _sampling(
         self, guidance: float | None, steps: int | None
     ) -> tuple[float | None, int | None]:
         if guidance is not None:

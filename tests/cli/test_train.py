@@ -86,6 +86,36 @@ def test_policy_beside_the_path(run, dataset, cli, tmp_path, capsys):
     assert model.training["policy"]["demonstrations"]["number"] == 8
 
 
+def test_student_beside_its_teachers_policy(run, dataset, cli, tmp_path, refused, capsys):
+    report, out = tmp_path / "student.json", tmp_path / "student"
+    words = (
+        "train distill --steps 4 --scenes 2 --per-scene 4 --pairs 4 --warmup 1 --sampling-steps 2"
+        " --teacher"
+    )
+    paths = ["--data", dataset, "--validation", dataset, "--out", out]
+    assert cli(words, run / "weights", *paths, "--json", report) == 0
+    content = json.loads(report.read_text())
+    assert set(content["model"]) == {"name", "path"}
+    assert content["config"]["path"]["guidance"] == 0
+    assert content["config"]["path"]["sampling_steps"] == 2
+    student = lg.Modulator.from_pretrained(out / "weights")
+    made_by = student.training["path"]["teacher"]
+    teacher = (run / "weights" / "path.safetensors").read_bytes()
+    assert made_by["sha256"] == hashlib.sha256(teacher).hexdigest()
+    assert made_by["training"]["training"]["steps"] == 20
+    capsys.readouterr()
+
+    whole = lg.Modulator.from_pretrained("block-reach-2d")
+    whole.save_pretrained(tmp_path / "whole")
+    assert cli(words, tmp_path / "whole", *paths[:-1], tmp_path / "fast") == 0
+    found = lg.Modulator.from_pretrained(tmp_path / "fast" / "weights")
+    for name, tensor in found.path_policy.state_dict().items():
+        assert (tensor == whole.path_policy.state_dict()[name]).all(), name
+    assert found.training["policy"] == whole.training["policy"]
+    capsys.readouterr()
+    assert "has no stage 1" in refused(words, "diffusion-policy-2d", *paths)
+
+
 def test_policy_needs_demonstrations(dataset, tmp_path, refused):
     assert "demonstrations.json" in refused(
         "train policy --steps 2", "--data", dataset, "--out", tmp_path / "out"

@@ -156,14 +156,15 @@ def distill(
 
     def run(progress: Callable[..., None]) -> nn.Module:
         with progress_bar("scenes of the teacher") as drawn:
-            return distill_path(
+            student = distill_path(
                 stages["path"], dataset, checks, out, settings,
                 device=device, progress=progress, drawn=drawn,
             )  # fmt: skip
+        if "policy" in stages and team.main:
+            save_stage(weights, "policy", stages["policy"], made_by["policy"])
+        return student
 
     _train("path", run, settings, facts, checks.digest, out, weights, team, json)
-    if "policy" in stages and team.main:
-        save_stage(weights, "policy", stages["policy"], made_by["policy"])
 
 
 def policy(

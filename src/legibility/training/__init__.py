@@ -1,6 +1,6 @@
 """How weights are made: one loop for every model, and what each is trained on."""
 
-from .distillation import DistillationConfig, distill_path
+from .distillation import DistillationBatches, DistillationConfig, distill_path
 from .goal import train_goal, tune_guidance, validate_goal
 from .loop import CHECKPOINT, LOG, TrainingConfig, train
 from .path import FrameScorer, PathBatches, PathTrainingConfig, train_path, validate_dial
@@ -10,6 +10,7 @@ from .team import Team, choose_device
 __all__ = [
     "CHECKPOINT",
     "LOG",
+    "DistillationBatches",
     "DistillationConfig",
     "FrameScorer",
     "PathBatches",

@@ -25,7 +25,7 @@ from .loop import Progress, train
 from .path import PathBatches, PathTrainingConfig, check_data, validate_dial
 from .team import Team
 
-__all__ = ["DistillationConfig", "distill_path"]
+__all__ = ["DistillationBatches", "DistillationConfig", "distill_path"]
 
 _AT_ONCE = 16  # scenes that the teacher draws for
 
@@ -52,7 +52,8 @@ class DistillationConfig(PathTrainingConfig):
         super().__post_init__()
         count("sampling_steps", self.sampling_steps)
         count("pairs", self.pairs)
-        bounded("ends", self.ends, 0, 1)
+        if bounded("ends", self.ends, 0, 1) == 1:
+            raise InvalidInputError(f"ends must lie in [0, 1), got {self.ends}")
 
 
 class DistillationBatches(PathBatches):
@@ -60,7 +61,11 @@ class DistillationBatches(PathBatches):
 
     config: DistillationConfig
 
-    def draw(self, teacher: PathDiffuser, drawn: Callable[[int, int], None]) -> None:
+    def draw(
+        self,
+        teacher: PathDiffuser,
+        drawn: Callable[[int, int], None] = lambda done, total: None,
+    ) -> None:
         """Let the `teacher` draw the pairs that the student learns."""
         num, pairs = len(self.labels), self.config.pairs
         generator = torch.Generator().manual_seed(self.config.seed)
@@ -146,6 +151,8 @@ def distill_path(
     settings = replace(teacher.config, sampling_steps=config.sampling_steps, guidance=0.0)
     student = PathDiffuser(settings).to(team.device)
     student.load_state_dict(teacher.state_dict())
+    for unused in (student.no_field, student.no_level):  # it is never without conditions
+        unused.requires_grad_(False)
     batches = DistillationBatches(data, student, config, team)
     batches.draw(teacher.to(team.device), drawn if team.main else lambda done, total: None)
     checks = PathBatches(validation, student, config, team)

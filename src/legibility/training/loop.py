@@ -106,7 +106,7 @@ def train(
     """
     folder = Path(folder)
     average = copy.deepcopy(model).requires_grad_(False).eval()
-    parameters = list(model.parameters())
+    parameters = _trained(model)
     optimizer = torch.optim.AdamW(
         parameters, lr=config.learning_rate, weight_decay=config.weight_decay
     )
@@ -171,6 +171,10 @@ def train(
     return average
 
 
+def _trained(model: nn.Module) -> list[nn.Parameter]:
+    return [p for p in model.parameters() if p.requires_grad]
+
+
 @torch.no_grad()
 def _average(average: nn.Module, model: nn.Module, decay: float) -> None:
     """Exponential moving average of the weights; it forgets faster in the first steps."""
@@ -228,7 +232,7 @@ def _restore(
     load_state(model, groups["model"], path)
     load_state(average, groups["average"], path)
     state: dict[int, dict[str, Tensor]] = {}
-    for index, parameter in enumerate(model.parameters()):
+    for index, parameter in enumerate(_trained(model)):
         shapes = {"step": (), "exp_avg": parameter.shape, "exp_avg_sq": parameter.shape}
         state[index] = {}
         for key, shape in shapes.items():
