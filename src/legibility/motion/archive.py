@@ -139,12 +139,10 @@ class CurveGrid:
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
         descriptors = farthest_from_segment(trajectories, self.start, self.goal)
         in_bounds = ((descriptors >= self.low) & (descriptors <= self.high)).all(-1)
-        controls, trajectories, descriptors = (
-            x[in_bounds] for x in (controls, trajectories, descriptors)
-        )
         cells = self.cell_of(descriptors)
-        self.reached[cells] = True
-        inside = ((trajectories >= self.low) & (trajectories <= self.high)).all((-1, -2))
+        self.reached[cells[in_bounds]] = True
+        least, most = trajectories.min(axis=1), trajectories.max(axis=1)
+        inside = ((least >= self.low) & (most <= self.high)).all(-1)
         controls, descriptors, cells = controls[inside], descriptors[inside], cells[inside]
         energies = bending_energy(controls)
         # The smoothest of each cell in this batch, then against the cell's elite.

@@ -39,11 +39,17 @@ def bezier_trajectories(controls: Array, num_points: int) -> Array:
     cumulative = np.zeros(table.shape[:-1])
     np.cumsum(np.sqrt(np.einsum("...d,...d->...", steps, steps)), axis=-1, out=cumulative[..., 1:])
     u = equal_arc_positions(cumulative, num_points) / (_QUADRATURE_POINTS - 1)
-    points = np.empty((*u.shape, controls.shape[-1]))
-    for d in range(controls.shape[-1]):  # a coordinate at a time keeps NumPy's inner loop long
+    # A coordinate at a time, each in one piece of memory: what reads them does so too.
+    points = np.empty((controls.shape[-1], *u.shape))
+    for d, own in enumerate(points):
         p0, p1, p2, p3 = (controls[:, i, d, None] for i in range(4))
-        quadratic = 3 * (p0 - 2 * p1 + p2) + u * (p3 - p0 + 3 * (p1 - p2))
-        points[..., d] = p0 + u * (3 * (p1 - p0) + u * quadratic)
+        np.multiply(u, p3 - p0 + 3 * (p1 - p2), out=own)
+        own += 3 * (p0 - 2 * p1 + p2)
+        own *= u
+        own += 3 * (p1 - p0)
+        own *= u
+        own += p0
+    points = np.moveaxis(points, 0, -1)
     points[..., -1, :] = controls[..., 3, :]
     return points
 
