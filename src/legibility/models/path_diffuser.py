@@ -150,12 +150,20 @@ class Conditions:
         """The same after `function` of each tensor."""
         return Conditions(*(function(getattr(self, f.name)) for f in fields(self)))
 
-    def potential(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def potential(self, points: Tensor) -> Tensor:
+        """φ `(B, K)` at points `(B, K, D)`."""
+        return F.softplus(self._odds(points).logsumexp(dim=-1))
+
+    def potential_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """φ `(B, K)` at points `(B, K, D)` and its gradient there, `(B, K, D)`."""
-        odds = points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
+        odds = self._odds(points)
         against = torch.logsumexp(odds, dim=-1, keepdim=True)
         shares = torch.exp(odds - against) * torch.sigmoid(against)
         return F.softplus(against[..., 0]), shares @ self.slopes
+
+    def _odds(self, points: Tensor) -> Tensor:
+        """Log odds `(B, K, M)` of each distractor at points `(B, K, D)`."""
+        return points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
 
     def distractors(self) -> tuple[Tensor, Tensor]:
         """Features `(B, M, 2D + 1)` of each distractor, and whether there is one, `(B, M)`.
@@ -272,7 +280,7 @@ class PathDiffuser(nn.Module):
         # In float32 whatever the network's precision: log odds are large, their differences small.
         with torch.autocast(noisy.device.type, enabled=False):
             points = self.from_latent(noisy)
-            potential, gradient = conditions.potential(points)
+            potential, gradient = conditions.potential_and_gradient(points)
             wall_distance = conditions.wall_distance(points)
         reading = torch.cat([
             torch.log1p(potential)[..., None] - 1,

@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from ..checks import bounded, count, positive, random_seed
 from ..errors import CheckpointError, InvalidInputError, TrainingError
@@ -108,7 +109,7 @@ def train(
     average = copy.deepcopy(model).requires_grad_(False).eval()
     parameters = _trained(model)
     optimizer = torch.optim.AdamW(
-        parameters, lr=config.learning_rate, weight_decay=config.weight_decay
+        parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
     )
     scaler = team.scaler()
     identity = {**identity, "training": asdict(config)}
@@ -135,9 +136,10 @@ def train(
             value, figures = loss(model, generator)
             optimizer.zero_grad(set_to_none=True)
             scaler.scale(value).backward()
-            gradients = [p.grad for p in parameters if p.grad is not None]
-            for own, mean in zip(gradients, team.mean(gradients), strict=True):
-                own.copy_(mean)
+            if team.size > 1:
+                gradients = [p.grad for p in parameters if p.grad is not None]
+                for own, mean in zip(gradients, team.mean(gradients), strict=True):
+                    own.copy_(mean)
             scaler.unscale_(optimizer)
             nn.utils.clip_grad_norm_(parameters, 1.0)
             scaler.step(optimizer)
@@ -178,8 +180,7 @@ def _trained(model: nn.Module) -> list[nn.Parameter]:
 @torch.no_grad()
 def _average(average: nn.Module, model: nn.Module, decay: float) -> None:
     """Exponential moving average of the weights; it forgets faster in the first steps."""
-    for old, new in zip(average.parameters(), model.parameters(), strict=True):
-        old.lerp_(new, 1 - decay)
+    get_ema_multi_avg_fn(decay)(list(average.parameters()), list(model.parameters()), 0)
 
 
 def _mix(seed: int, step: int) -> int:
@@ -239,7 +240,8 @@ def _restore(
             tensor = groups["optimizer"].get(f"{index}.{key}")
             if tensor is None or tensor.shape != shape or not torch.isfinite(tensor).all():
                 raise CheckpointError(f"{path}: optimizer.{index}.{key} is missing or broken")
-            state[index][key] = tensor
+            # Laid out as the weight, since the fused step rounds by the place in memory.
+            state[index][key] = torch.empty_like(parameter if shape else tensor).copy_(tensor)
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     return step, seconds
 

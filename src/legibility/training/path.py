@@ -159,7 +159,7 @@ class FrameScorer:
 
     def score(self, conditions: Conditions, points: Tensor) -> Tensor:
         """`(B,)` of curves `(B, T, D)` in the start–target frames of `B` scenes."""
-        potential, _ = conditions.potential(points)
+        potential = conditions.potential(points)
         steps = (points.diff(dim=1).square().sum(-1) + 1e-12).sqrt()
         progress = F.pad(steps.cumsum(1), (1, 0)) / steps.sum(1, keepdim=True)
         decay = torch.exp(-self.alpha * progress)
