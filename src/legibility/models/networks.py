@@ -94,7 +94,9 @@ class _Taps(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, joins: Joins, num: int) -> Tensor:
+    def forward(
+        ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, joins: Joins, num: int
+    ) -> Tensor:
         """`x (K, B, C)`, `weight (taps, C, C′)` to `(num, B, C′)`."""
         ctx.save_for_backward(x, weight)
         ctx.joins = joins
@@ -112,7 +114,7 @@ class _Taps(torch.autograd.Function):
         for tap, of_tap, (outs, ins) in zip(weight, of_weight, ctx.joins, strict=True):
             if of_x is not None:
                 _add_product(of_x[ins], gradient[outs], tap.T)
-            of_tap.copy_(x[ins].flatten(0, 1).T @ gradient[outs].flatten(0, 1))
+            torch.mm(x[ins].flatten(0, 1).T, gradient[outs].flatten(0, 1), out=of_tap)
         return of_x, of_weight, gradient.sum((0, 1)), None, None
 
 
@@ -190,45 +192,51 @@ Modulation = tuple[Tensor, Tensor]
 class _Activation(torch.autograd.Function):
     """Group normalisation, an affine function and SiLU in training, with few passes over the data.
 
-    What depends on the row and the channel alone is computed apart, in float32.
+    In float32 whatever the precision of the data, in which passes are slower.
     """
 
     @staticmethod
     def forward(
-        ctx: Any, x: Tensor, scale: Tensor, shift: Tensor, groups: int, eps: float
+        ctx: Any, data: Tensor, scale: Tensor, shift: Tensor, groups: int, eps: float
     ) -> Tensor:
-        """`x (K, B, C)`, `scale` and `shift` `(B or 1, C)` to `(K, B, C)`."""
-        mean = _over_groups(x.sum(0, dtype=torch.float32), groups) / len(x)
-        square = _over_groups(x.square().sum(0, dtype=torch.float32), groups) / len(x)
-        inverse = (square - mean.square() + eps).rsqrt()  # of the standard deviation
+        """`data (K, B, C)`, `scale` and `shift` `(B or 1, C)` to `(K, B, C)`."""
+        x = data.float()
+        mean, square = _group_means(torch.stack([x.sum(0), x.square().sum(0)]), groups) / len(x)
+        inverse = ((square - mean.square()).clamp_min(0) + eps).rsqrt()  # of the deviation
+        mean, inverse = _spread(torch.stack([mean, inverse]), x.shape[2])
         slope = scale * inverse
-        z = torch.addcmul((shift - mean * slope).to(x.dtype), x, slope.to(x.dtype))
-        ctx.save_for_backward(x, z, scale, mean, inverse)
+        offset = torch.addcmul(shift, mean, slope, value=-1)
+        ctx.save_for_backward(data, scale, mean, inverse, slope, offset)
         ctx.groups = groups
-        return F.silu(z)
+        return F.silu(torch.addcmul(offset, x, slope), inplace=True).to(data.dtype)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        """Of `x`, `scale` and `shift`."""
-        x, z, scale, mean, inverse = ctx.saved_tensors
-        of_z = torch.ops.aten.silu_backward(gradients[0], z)
-        of_shift = of_z.sum(0, dtype=torch.float32)
-        of_scale = (of_z * x).sum(0, dtype=torch.float32)
-        of_scale = inverse * (of_scale - mean * of_shift)
-        # What every point of the group adds by the mean, and by the standard deviation.
-        by_mean = _over_groups(of_shift * scale, ctx.groups) / len(x)
-        by_deviation = _over_groups(of_scale * scale, ctx.groups) / len(x)
-        slope = -inverse.square() * by_deviation
-        rest = -inverse * by_mean - slope * mean
-        of_x = torch.addcmul(rest.to(x.dtype), x, slope.to(x.dtype))
-        of_x = of_x.addcmul_(of_z, (scale * inverse).to(x.dtype))
-        return of_x, of_scale.sum_to_size(scale.shape), of_shift.sum_to_size(scale.shape), None, None
+        """Of `data`, `scale` and `shift`."""
+        data, scale, mean, inverse, slope, offset = ctx.saved_tensors
+        x = data.float()
+        z = torch.addcmul(offset, x, slope)
+        of_z = torch.ops.aten.silu_backward(gradients[0].float(), z)
+        of_shift = of_z.sum(0)
+        of_scale = torch.mul(of_z, x, out=z).sum(0).addcmul_(mean, of_shift, value=-1).mul_(inverse)
+        # What every point of a group adds by its mean, and by its standard deviation.
+        parts = _group_means(torch.stack([of_shift, of_scale]) * scale, ctx.groups) / -len(x)
+        by_mean, by_deviation = _spread(parts, x.shape[2]) * inverse
+        by_deviation *= inverse
+        of_x = torch.addcmul(by_mean - by_deviation * mean, x, by_deviation, out=z)
+        of_x.addcmul_(of_z, slope)
+        affine = (part.sum_to_size(scale.shape) for part in (of_scale, of_shift))
+        return of_x.to(data.dtype), *affine, None, None
 
 
-def _over_groups(x: Tensor, groups: int) -> Tensor:
-    """`(B, C)`, the mean over each group of channels."""
-    mean = x.unflatten(1, (groups, -1)).mean(2, keepdim=True)
-    return mean.expand(-1, -1, x.shape[1] // groups).flatten(1)
+def _group_means(x: Tensor, groups: int) -> Tensor:
+    """`(..., C)` to the mean over each group of channels, `(..., groups)`."""
+    return x.unflatten(-1, (groups, -1)).mean(-1)
+
+
+def _spread(x: Tensor, channels: int) -> Tensor:
+    """The inverse: what is of a group to all its channels, `(..., C)`."""
+    return x[..., None].expand(*x.shape, channels // x.shape[-1]).flatten(-2)
 
 
 class _GroupNorm(nn.GroupNorm):
@@ -242,7 +250,9 @@ class _GroupNorm(nn.GroupNorm):
         """SiLU of what `forward` gives, modulated."""
         if not torch.is_grad_enabled():
             h = self(x)
-            return F.silu(h if modulation is None else torch.addcmul(modulation[1], h, modulation[0]))
+            if modulation is not None:
+                h = torch.addcmul(modulation[1], h, modulation[0])
+            return F.silu(h)
         scale, shift = self.weight[None], self.bias[None]
         if modulation is not None:
             by, add = (m.squeeze(-2) for m in modulation)
@@ -269,7 +279,8 @@ class _Block(nn.Module):
 
     def forward(self, x: Tensor, modulation: Modulation) -> Tensor:
         """`x (B, K, C)` to `(B, K, C′)`."""
-        first, second = self.norms
+        norms: Any = self.norms
+        first, second = norms
         h = first.activated(self.first(x), modulation)
         return self.skip(x) + second.activated(self.second(h))
 

@@ -152,18 +152,15 @@ class Conditions:
 
     def potential(self, points: Tensor) -> Tensor:
         """φ `(B, K)` at points `(B, K, D)`."""
-        return F.softplus(self._odds(points).logsumexp(dim=-1))
+        odds = torch.baddbmm(self.intercepts[..., None], self.slopes, points.transpose(1, 2))
+        return F.softplus(odds.logsumexp(dim=1))
 
     def potential_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """φ `(B, K)` at points `(B, K, D)` and its gradient there, `(B, K, D)`."""
-        odds = self._odds(points)
+        odds = points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
         against = torch.logsumexp(odds, dim=-1, keepdim=True)
         shares = torch.exp(odds - against) * torch.sigmoid(against)
         return F.softplus(against[..., 0]), shares @ self.slopes
-
-    def _odds(self, points: Tensor) -> Tensor:
-        """Log odds `(B, K, M)` of each distractor at points `(B, K, D)`."""
-        return points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
 
     def distractors(self) -> tuple[Tensor, Tensor]:
         """Features `(B, M, 2D + 1)` of each distractor, and whether there is one, `(B, M)`.
@@ -267,7 +264,8 @@ class PathDiffuser(nn.Module):
         reading = self._read(noisy, conditions)
         if keep is not None:
             reading = reading * keep[:, None, None]
-        condition = F.silu(context + self.moments(timestep))
+        every = torch.arange(self.config.diffusion_steps, device=timestep.device)
+        condition = F.silu(context + F.embedding(timestep, self.moments(every)))
         return self.unet(torch.cat([noisy, reading], dim=-1), condition)
 
     def moments(self, timestep: Tensor) -> Tensor:
