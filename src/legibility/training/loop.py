@@ -20,7 +20,6 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from ..checks import bounded, count, positive, random_seed
 from ..errors import CheckpointError, InvalidInputError, TrainingError
@@ -113,6 +112,8 @@ def train(
     )
     scaler = team.scaler()
     identity = {**identity, "training": asdict(config)}
+    if team.precision != "no":
+        identity["precision"] = team.precision
     if team.main:
         for leftover in folder.glob(".*.safetensors"):  # of a run that was killed
             leftover.unlink()
@@ -125,6 +126,7 @@ def train(
             f"it is at step {done} here, at {found:g} in the mean"
         )
     log = _Log(folder, done) if team.main else None
+    _keep_memory()
     generator = torch.Generator()
     started = time.perf_counter() - seconds
     model.train()
@@ -133,9 +135,10 @@ def train(
             generator.manual_seed(_mix(config.seed, step))
             for group in optimizer.param_groups:
                 group["lr"] = config.learning_rate * _schedule(step, config)
-            value, figures = loss(model, generator)
-            optimizer.zero_grad(set_to_none=True)
-            scaler.scale(value).backward()
+            with team.products():
+                value, figures = loss(model, generator)
+                optimizer.zero_grad(set_to_none=True)
+                scaler.scale(value).backward()
             if team.size > 1:
                 gradients = [p.grad for p in parameters if p.grad is not None]
                 for own, mean in zip(gradients, team.mean(gradients), strict=True):
@@ -173,6 +176,15 @@ def train(
     return average
 
 
+def _keep_memory() -> None:
+    """Let the C library keep what a step frees for the next one, which else waits for new pages.
+
+    glibc returns memory to the system block by block until it has seen a large block freed, of up
+    to 32 MB; elsewhere this does nothing.
+    """
+    torch.empty(31 << 20, dtype=torch.uint8)
+
+
 def _trained(model: nn.Module) -> list[nn.Parameter]:
     return [p for p in model.parameters() if p.requires_grad]
 
@@ -180,7 +192,8 @@ def _trained(model: nn.Module) -> list[nn.Parameter]:
 @torch.no_grad()
 def _average(average: nn.Module, model: nn.Module, decay: float) -> None:
     """Exponential moving average of the weights; it forgets faster in the first steps."""
-    get_ema_multi_avg_fn(decay)(list(average.parameters()), list(model.parameters()), 0)
+    for old, new in zip(average.parameters(), model.parameters(), strict=True):
+        old.lerp_(new, 1 - decay)
 
 
 def _mix(seed: int, step: int) -> int:
@@ -224,7 +237,8 @@ def _restore(
     except (AttributeError, KeyError, TypeError) as cause:
         raise CheckpointError(f"{path} is not a training checkpoint") from cause
     if header != json.loads(json.dumps(identity)):
-        changed = [k for k in identity if header.get(k) != json.loads(json.dumps(identity[k]))]
+        wanted = json.loads(json.dumps(identity))
+        changed = [k for k in {**wanted, **header} if header.get(k) != wanted.get(k)]
         raise CheckpointError(f"{path} is of another run ({', '.join(changed)} differ)")
     groups: dict[str, dict[str, Tensor]] = {"model": {}, "average": {}, "optimizer": {}}
     for name, tensor in tensors.items():
