@@ -35,7 +35,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
 .PHONY: help venv install demo test lint format weights data results bench clean distclean \
-	$(MODELS:%=weights-%) $(MODELS:%=data-%)
+	$(MODELS:%=weights-%) $(MODELS:%=weights-%-fast) $(MODELS:%=data-%)
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -71,7 +71,7 @@ format: $(STAMP) ## let ruff repair what it can
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-weights: $(MODELS:%=weights-%) ## make all shipped weights from nothing, then measure them
+weights: $(MODELS:%=weights-%-fast) ## make all shipped weights from nothing, then measure them
 	$(MAKE) results
 
 data: $(MODELS:%=data-%)
@@ -92,6 +92,11 @@ $(MODELS:%=weights-%): weights-%: data-%
 			--weights src/legibility/weights/$$baseline-$(ROBOT_$*) || exit 1; \
 	done
 
+# The student of each, and its stage 2.
+$(MODELS:%=weights-%-fast): weights-%-fast: weights-%
+	$(LEGIBILITY) train distill --teacher $* --data $(RUNS)/$*/data --out $(RUNS)/$*/fast \
+		--seed $(SEED) --validation $(RUNS)/$*/path/validation --weights src/legibility/weights/$*-fast
+
 # Everything behind the README's tables and figures. What is done is noted in $(DONE), so an
 # interrupted run goes on; new weights, or `rm -r $(DONE)`, have it measured anew.
 DONE = $(RUNS)/$(RESULTS)-seed-$(EVALUATION_SEED)
@@ -99,6 +104,8 @@ ON = --seed $(EVALUATION_SEED) --json $(RESULTS)/$*.json
 SHARED = --workers $(WORKERS) $(ON)
 PANDA_SCENES := --model panda-block-reach --goals 2..4
 PLANE_SCENES := --model block-reach-2d --goals 2..6
+FAST_PANDA_SCENES := --model panda-block-reach-fast --goals 2..4
+FAST_PLANE_SCENES := --model block-reach-2d-fast --goals 2..6
 dial-block-reach-2d = evaluate dial $(PLANE_SCENES) --scenes 200 $(SHARED)
 closed-loop-block-reach-2d = evaluate dial $(PLANE_SCENES) --scenes 200 --closed-loop $(SHARED)
 execution-block-reach-2d = evaluate execution $(PLANE_SCENES) --scenes 200 --rollouts 5000 $(SHARED)
@@ -109,6 +116,17 @@ execution-panda-block-reach = evaluate execution $(PANDA_SCENES) --scenes 50 --r
 # The second simulator is one that the arm was not trained in; it needs Python 3.11.
 transfer-panda-block-reach = evaluate execution $(PANDA_SCENES) --scenes 50 --rollouts 500 --env pandagym \
 	$(SHARED)
+dial-block-reach-2d-fast = evaluate dial $(FAST_PLANE_SCENES) --scenes 200 $(SHARED)
+closed-loop-block-reach-2d-fast = evaluate dial $(FAST_PLANE_SCENES) --scenes 200 --closed-loop $(SHARED)
+execution-block-reach-2d-fast = evaluate execution $(FAST_PLANE_SCENES) --scenes 200 --rollouts 5000 \
+	$(SHARED)
+dial-panda-block-reach-fast = evaluate dial $(FAST_PANDA_SCENES) --scenes 200 $(SHARED)
+closed-loop-panda-block-reach-fast = evaluate dial $(FAST_PANDA_SCENES) --scenes 100 --levels 11 \
+	--samples 2 --closed-loop $(SHARED)
+execution-panda-block-reach-fast = evaluate execution $(FAST_PANDA_SCENES) --scenes 50 --rollouts 500 \
+	$(SHARED)
+transfer-panda-block-reach-fast = evaluate execution $(FAST_PANDA_SCENES) --scenes 50 --rollouts 500 \
+	--env pandagym $(SHARED)
 paper-scene = plan examples/paper.yaml --target 0 --legibility -1:1:9 \
 	--figure $(RESULTS)/paper-scene.png --json $(RESULTS)/paper-scene.json
 paper-scene-executed = execute examples/paper.yaml --target 0 --legibility -1:1:5 \
@@ -127,8 +145,9 @@ spectrum-panda = evaluate spectrum --env panda $(ON)
 ablations-block-reach-2d = evaluate ablations --model block-reach-2d --goals 2..6 \
 	--data $(RUNS)/block-reach-2d/data --out $(RUNS)/block-reach-2d/ablations \
 	--training-steps 2000 --scene-numbers 400 $(SHARED)
-MEASURED := $(foreach model,$(MODELS),dial-$(model) closed-loop-$(model) execution-$(model)) \
-	transfer-panda-block-reach paper-scene paper-scene-executed panda-scene \
+MEASURED := $(foreach model,$(MODELS) $(MODELS:%=%-fast), \
+		dial-$(model) closed-loop-$(model) execution-$(model)) \
+	transfer-panda-block-reach transfer-panda-block-reach-fast paper-scene paper-scene-executed panda-scene \
 	table1-2d table1-panda table1-pandagym unseen-2d unseen-panda spectrum-2d spectrum-panda \
 	ablations-block-reach-2d
 

@@ -21,6 +21,7 @@ from legibility.evaluation.card import (
     render_card,
 )
 from legibility.evaluation.comparison import METHODS
+from legibility.evaluation.distilled_table import SUFFIX, distilled_section
 from legibility.evaluation.tables import spectrum_section, table1_section, unseen_section
 from legibility.models.pretrained import pretrained_folder, pretrained_names
 from legibility.modulator import Modulator
@@ -100,17 +101,37 @@ def test_tables_and_card_are_what_was_measured_with_these_weights(name):
         "dial": dial_section, "closed-loop": dial_section, "execution": execution_section,
         "transfer": execution_section,
     }  # fmt: skip
-    if name != "panda-block-reach":  # there is one simulator of the plane
+    if not name.startswith("panda-block-reach"):  # there is one simulator of the plane
         del sections["transfer"]
     documents = {}
     for kind, section in sections.items():
         document = json.loads((ROOT / "results" / f"{kind}-{name}.json").read_text())
         assert document["model"] == {"name": name, **hashes}
-        assert section(document) in README
+        assert (section(document) in README) != name.endswith(SUFFIX)  # those are in one table
         assert (ROOT / "results" / f"{kind}-{name}.md").read_text() == section(document) + "\n"
         documents[kind] = document
     config = json.loads((weights / "config.json").read_text())
     assert (weights / "README.md").read_text() == render_card(name, config, documents)
+
+
+def test_distilled_weights_are_beside_their_teachers():
+    found = {
+        name: {
+            kind: json.loads((ROOT / "results" / f"{kind}-{name}.json").read_text())
+            for kind in ("dial", "closed-loop")
+        }
+        for name in pretrained_names()
+    }
+    section = distilled_section(found)
+    assert section.count("-fast |") == 4
+    assert section in README
+    assert (ROOT / "results" / "distilled.md").read_text() == section + "\n"
+    for name in found:
+        if name.endswith(SUFFIX):
+            made_by = Modulator.from_pretrained(name).training["path"]["teacher"]
+            assert (
+                made_by["sha256"] == hashes_of(pretrained_folder(name.removesuffix(SUFFIX)))["path"]
+            )
 
 
 COMPARED = {

@@ -57,6 +57,18 @@ def test_report(results, cli, capsys):
     assert Path("page.md").read_text() == expected
 
 
+def test_distilled_weights_are_shown_beside_their_teacher(results, cli):
+    for kind in KINDS:
+        shutil.copy(f"results/{kind}-tiny.json", f"results/{kind}-tiny-fast.json")
+    page = Path("page.md")
+    page.write_text(PAGE + "<!-- distilled -->\n<!-- /distilled -->\n")
+    assert cli("report results --readme page.md") == 0
+    section = Path("results/distilled.md").read_text().strip()
+    assert "| tiny-fast | " in section
+    assert f"<!-- distilled -->\n{section}\n<!-- /distilled -->" in page.read_text()
+    assert Path("results/dial-tiny-fast.md").read_text() == Path("results/dial-tiny.md").read_text()
+
+
 def test_without_page_and_weights(results, cli):
     Path("results/execution-tiny.json").unlink()
     assert cli("report results") == 0

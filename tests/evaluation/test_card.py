@@ -14,6 +14,7 @@ from legibility.evaluation.card import (
     replace_table,
 )
 from legibility.evaluation.dial import FIGURES
+from legibility.evaluation.distilled_table import distilled_section
 from legibility.evaluation.execution import ROWS
 
 MODEL = {"name": "m", "path": "a" * 64, "policy": "b" * 64}
@@ -183,6 +184,48 @@ class TestAblations:
         assert "small runs have the same network but only 3,000 steps of training" in text
         assert "on 3,200 scenes where no other number is named" in text
         assert text.endswith("Measured by `legibility evaluate ablations --seed 7`.")
+
+
+class TestDistilled:
+    def test_pairs_are_beside_each_other(self):
+        fast = dial()
+        fast["result"]["overall"]["error"] = figure(0.25)
+        found = {
+            "m-fast": {"dial": fast, "closed-loop": dial(True)},
+            "m": {"dial": dial(), "closed-loop": dial(True)},
+            "alone-fast": {"dial": dial()}, "other": {"dial": dial()},
+        }  # fmt: skip
+        text = distilled_section(found)
+        rows = cells(text)
+        assert [row[0] for row in rows] == ["weights", "---", "m", "m-fast"] * 2
+        assert rows[0][1:] == [FIGURES[name].text for name in (
+            "spearman", "error", "error_candidates", "at_1", "at_-1", "drawn_inside"
+        )]  # fmt: skip
+        assert rows[3][2] == "0.2500 (0.2400 to 0.2600)"
+        assert rows[2][2] != rows[3][2]
+        assert "(3 with 2 to 6 goals; seed 7)" in " ".join(text.split())
+
+    def test_without_a_pair_there_is_nothing(self):
+        assert distilled_section({"m": {"dial": dial()}, "n-fast": {"dial": dial()}}) == ""
+
+    def test_card_tells_of_the_teacher(self):
+        config = copy.deepcopy(CONFIG)
+        teacher = config["path"]["training"]
+        config["path"]["config"]["sampling_steps"] = 1
+        config["path"]["training"] = {
+            **TRAINED,
+            "training": {**teacher["training"], "steps": 4000, "pairs": 64, "score_weight": 2.5},
+            "teacher": {
+                "sha256": "e" * 64, "training": teacher, "sampling_steps": 3, "guidance": 0.3
+            },
+        }  # fmt: skip
+        words = " ".join(render_card("m", config, documents()).split())
+        assert "12,000 batches of 128 scenes" in words
+        assert "4,000 batches of 128 scenes" in words
+        assert f"the teacher (SHA-256 `{'e' * 64}`) draws in 3 steps with guidance 0.3" in words
+        assert "a student that draws in 1 step without" in words
+        assert "drew 64 paths" in words
+        assert "(weight 2.5)" in words
 
 
 class TestCard:

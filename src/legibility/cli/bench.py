@@ -86,8 +86,9 @@ def _figures(result: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
                 found.append((f"{who}: rollouts a second", own["rollouts_per_second"]))
     for batch, figure in result["published"]["plan_ms"].items():
         found.append((f"the published configuration: {batch} [ms]", figure))
-        for backend, ratios in result["published"]["ratio"].items():
-            found.append((f"over ours, {backend}", ratios[batch]))
+        for name, backends in result["published"]["ratio"].items():
+            for backend, ratios in backends.items():
+                found.append((f"over {name}, {backend}", ratios[batch]))
     for kind, pieces in _MADE.items():
         for dim, own in result[kind].items():
             found.append((f"{dim}-D: {pieces.replace('_', ' ')}", own[pieces]))

@@ -21,6 +21,7 @@ from ..evaluation.card import (
     replace_table,
 )
 from ..evaluation.comparison import METHODS
+from ..evaluation.distilled_table import SUFFIX, distilled_section
 from ..evaluation.figures import dial_figure
 from ..evaluation.spectrum import Spectrum
 from ..evaluation.spectrum_figure import spectrum_figure
@@ -54,7 +55,8 @@ def report(
     Args:
         results: folder of the JSON files.
         readme: a Markdown file whose part between the comments `KIND-NAME` and `/KIND-NAME` is
-            replaced by the text.
+            replaced by the text; of weights that were distilled, NAME-fast, only what is said of
+            them beside NAME, between `distilled` and `/distilled`.
         weights: a folder whose subfolder NAME, if there is one, gets its model card.
     """
     check_folder(results, "report")
@@ -81,12 +83,17 @@ def report(
                 figures += _figures(kind, file, document["result"])
             texts[file.with_suffix(".md")] = f"{section}\n"
             sections.append((file, document, section))
-            if page is not None:
+            if page is not None and not name.endswith(SUFFIX):
                 page = replace_table(page, file.stem, section)
         if weights is not None and (weights / name).is_dir():
             config = _read(weights / name / "config.json")
             with _as_is_written(f"cannot make the card of {name}"):
                 texts[weights / name / "README.md"] = render_card(name, config, documents)
+    with _as_is_written(f"the dials in {results} are not what `evaluate` writes"):
+        distilled = distilled_section(found)
+    if distilled:
+        texts[results / "distilled.md"] = f"{distilled}\n"
+        page = page and replace_table(page, "distilled", distilled)
     if weights is not None:
         texts |= _baseline_cards(weights, found)
 

@@ -92,7 +92,8 @@ def run_bench(
     """Measure `models` and all that makes them.
 
     Args:
-        models: names of weights or folders; the published configuration is held against the first.
+        models: names of weights or folders; the published configuration is held against the first
+            and those of its dimension.
         config: what is measured.
         progress: called with the parts done and all of them.
 
@@ -105,8 +106,8 @@ def run_bench(
         scenes, with the exponent of a power law), `plan_one_core_ms`, `paths_per_second`, `draw_ms`
         (stage 1 alone), `over_floor` (that over the least), `step_ms` (a control step on one core,
         amortised over its chunk), `rollouts_per_second`, and `process` (start-up and memory);
-        `published`: parameters, differences, times, and by backend and batch the `ratio` of its
-        time to ours;
+        `published`: parameters, differences, times, and by model, backend and batch the `ratio` of
+        its time to ours;
         `archive`, `dataset`, `training`: by dimension, how many a second, growth and memory;
         `import_ms`: of `import legibility` in a fresh process.
         A time is a median with a 95 % interval and the number of calls.
@@ -123,8 +124,13 @@ def run_bench(
         for name, backends in loaded.items():
             for measure in (_plans, _growth, _motions, _processes):
                 parts.append(partial(measure, name, backends, config))
-        parts.append(partial(_published, loaded[models[0]], config, device))
-        for dim, name in {b["torch"].config.dim: n for n, b in loaded.items()}.items():
+        firsts: dict[int, str] = {}
+        for name, backends in loaded.items():
+            firsts.setdefault(backends["torch"].config.dim, name)
+        dim = next(iter(firsts))
+        alike = {n: b for n, b in loaded.items() if b["torch"].config.dim == dim}
+        parts.append(partial(_published, dim, alike, config, device))
+        for dim, name in firsts.items():
             parts += [
                 partial(_archive, dim, config),
                 partial(_dataset, dim, config),
@@ -318,22 +324,32 @@ def _over_runs(runs: list[dict[str, float]], scale: float) -> dict[str, Any]:
     return {name: figure([[run[name] for run in runs]], scale) for name in runs[0]}
 
 
-def _published(backends: Backends, config: BenchConfig, device: torch.device) -> dict[str, Any]:
-    """The published configuration in turns with ours."""
+def _published(
+    dim: int, loaded: dict[str, Backends], config: BenchConfig, device: torch.device
+) -> dict[str, Any]:
+    """The published configuration in turns with ours of the same dimension."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        model = PublishedDiffuser(backends["torch"].config.dim).eval().to(device)
+        model = PublishedDiffuser(dim).eval().to(device)
+    sizes = config.published
     works: dict[Any, Work] = {}
-    for batch in config.published:
+    for batch in sizes:
         workloads.published(model, batch, 1, device)()  # warms it up
         call = workloads.published(model, batch, config.published_steps, device)
         works["published", batch] = timed(call)
-        for backend, own in backends.items():
-            plan = workloads.planning(own, batch)
-            plan()
-            works[backend, batch] = timed(plan)
+        for name, backends in loaded.items():
+            for backend, own in backends.items():
+                plan = workloads.planning(own, batch)
+                plan()
+                works[name, backend, batch] = timed(plan)
     times = interleaved(works, config.seconds, config.rounds, warm_up=False)
-    sizes = config.published
+
+    def of_each(shown: Callable[[str, str, int], dict[str, Any]]) -> dict[str, Any]:
+        return {
+            name: {b: {str(n): shown(name, b, n) for n in sizes} for b in backends}
+            for name, backends in loaded.items()
+        }
+
     found = {
         "parameters": {
             part: sum(p.numel() for p in getattr(model, part).parameters())
@@ -342,17 +358,14 @@ def _published(backends: Backends, config: BenchConfig, device: torch.device) ->
         "steps": config.published_steps,
         "differences": list(DIFFERENCES),
         "plan_ms": {str(n): figure(times["published", n], 1e3) for n in sizes},
-        "ours_ms": {
-            b: {str(n): figure(times[b, n], 1e3) for n in sizes} for b in backends
-        },
-        "ratio": {
-            b: {str(n): figure([_ratios(times["published", n], times[b, n])]) for n in sizes}
-            for b in backends
-        },
+        "ours_ms": of_each(lambda name, b, n: figure(times[name, b, n], 1e3)),
+        "ratio": of_each(
+            lambda name, b, n: figure([_ratios(times["published", n], times[name, b, n])])
+        ),
         "process": footprint(
             "torch", "published", torch.get_num_threads(), steps=min(2, config.published_steps)
         ),
-    }  # fmt: skip
+    }
     return {"published": found}
 
 

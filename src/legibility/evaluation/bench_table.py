@@ -82,19 +82,22 @@ after it.""")
 
 def _published(result: dict[str, Any]) -> str:
     found = result["published"]
-    parameters, backends = found["parameters"], list(found["ratio"])
+    parameters = found["parameters"]
     rows = [
         [
-            f"{int(batch):,}", _shown(theirs),
-            *(
-                cell for b in backends
-                for cell in (_shown(found["ours_ms"][b][batch]), _shown(found["ratio"][b][batch]))
-            ),
+            f"{int(batch):,}",
+            _shown(theirs),
+            name,
+            backend,
+            _shown(ours[batch]),
+            _shown(ratio[batch]),
         ]
         for batch, theirs in found["plan_ms"].items()
-    ]  # fmt: skip
-    head = ["paths", "published [ms]"]
-    head += [cell for b in backends for cell in (f"ours, {b} [ms]", "times faster")]
+        for name, backends in found["ours_ms"].items()
+        for backend, ours in backends.items()
+        for ratio in [found["ratio"][name][backend]]
+    ]
+    head = ["paths", "published [ms]", "ours", "backend", "ours [ms]", "times faster"]
     text = filled(f"""\
 The published configuration ({parameters["unet"] / 1e6:.1f} million parameters and an encoder of
 {parameters["encoder"] / 1e6:.1f} million, {found["steps"]} steps) in turns with ours in the same

@@ -229,7 +229,7 @@ Use it with `legibility.Modulator.from_pretrained("{name}")`.
 quality-diversity archive; labels `{path["label"]}`, σ = {path["sigma"]} m, α = {path["alpha"]}.
 SHA-256 over the shards: `{training["digest"]}`."""),
         "\n## Training of stage 1\n",
-        trained(training, "{scenes} scenes × {per_scene} trajectories"),
+        *_stage_1(path, training),
     ]
     if "policy" in stages:
         policy = stages["policy"]["training"]
@@ -270,6 +270,29 @@ _STAGE_1 = f"""\
 _STAGE_2 = """\
 * Stage 2, the path-guided policy: from two states, goal and path to actions, closed loop.
 """
+
+
+def _stage_1(config: dict[str, Any], training: dict[str, Any]) -> list[str]:
+    """How stage 1 was trained; of one that was distilled, how its teacher was before."""
+    batch = "{scenes} scenes × {per_scene} trajectories"
+    teacher = training.get("teacher")
+    if teacher is None:
+        return [trained(training, batch)]
+    steps, before = config["sampling_steps"], teacher["sampling_steps"]
+    settings, own = training["training"], teacher["training"]
+    return [
+        f"First a teacher, on data of SHA-256 `{own['digest']}`:\n",
+        trained(own, batch),
+        "",
+        filled(f"""\
+Then what the teacher (SHA-256 `{teacher["sha256"]}`) draws in {before} steps with guidance
+{teacher["guidance"]:g} was distilled into a student that draws in {steps} step{"s" * (steps > 1)}
+without. In every scene of the data above the teacher drew {settings["pairs"]} paths, ℓ all over
+the dial; from the same noise the student is to draw the same path, and the label that its path
+achieves is to be the asked one (weight {settings["score_weight"]:g}):"""),
+        "",
+        trained(training, batch),
+    ]
 
 
 def demonstrated(training: dict[str, Any], dim: int) -> str:

@@ -41,7 +41,8 @@ def bezier_trajectories(controls: Array, num_points: int) -> Array:
     u = equal_arc_positions(cumulative, num_points) / (_QUADRATURE_POINTS - 1)
     # A coordinate at a time, each in one piece of memory: what reads them does so too.
     points = np.empty((controls.shape[-1], *u.shape))
-    for d, own in enumerate(points):
+    for d in range(len(points)):
+        own: Array = points[d]
         p0, p1, p2, p3 = (controls[:, i, d, None] for i in range(4))
         np.multiply(u, p3 - p0 + 3 * (p1 - p2), out=own)
         own += 3 * (p0 - 2 * p1 + p2)

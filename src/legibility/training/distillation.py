@@ -40,13 +40,12 @@ class DistillationConfig(PathTrainingConfig):
         ends: share of them at ℓ = ±1.
     """
 
-    steps: int = 8000
+    steps: int = 4000
     learning_rate: float = 5e-4
     dropout: float = 0.0
-    score_weight: float = 1.0
     sampling_steps: int = 1
-    pairs: int = 64
-    ends: float = 0.1
+    pairs: int = 32
+    ends: float = 0.2
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -107,7 +106,9 @@ class DistillationBatches(PathBatches):
         path_loss = F.mse_loss(model.to_latent(found), wanted)
         points = self.scorer.curve(found)
         achieved = self.scorer.label(conditions, each, points)
-        label_loss = F.smooth_l1_loss(achieved, level, beta=0.1)
+        # Labels end at ±1, the scores beyond do not: there only what falls short is wrong.
+        beyond = (level.abs() == 1) & (achieved * level > 1)
+        label_loss = F.smooth_l1_loss(torch.where(beyond, level, achieved), level, beta=0.1)
         wall_loss = F.relu(-conditions.wall_distance(points)).mean()
         total = path_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
         parts = {"path": path_loss, "label": label_loss, "wall": wall_loss}
