@@ -271,6 +271,45 @@ train_path(data, validation, sys.argv[2], PathTrainingConfig(**{dataclasses.asdi
             train_path(data, validation, finished, SHORT, **TINY)
 
 
+class TestPrecision:
+    def test_in_bfloat16_resumes_bit_for_bit(self, data, validation, whole, tmp_path):
+        def stop(done, steps, figures):
+            if done == 6:
+                raise KeyboardInterrupt
+
+        run, again = ((data, validation, tmp_path / name, SHORT) for name in ("whole", "stopped"))
+        train_path(*run, precision="bf16", **TINY)
+        with pytest.raises(KeyboardInterrupt):
+            train_path(*again, precision="bf16", progress=stop, **TINY)
+        train_path(*again, precision="bf16", **TINY)
+        assert_same_run(tmp_path / "whole", tmp_path / "stopped")
+        losses, expected = ([row["loss"] for row in rows(f) if "loss" in row]
+                            for f in (tmp_path / "whole", whole[0]))  # fmt: skip
+        assert losses != expected
+        np.testing.assert_allclose(losses, expected, rtol=0.02)
+
+    def test_of_another_precision_is_another_run(self, data, validation, whole, tmp_path):
+        with pytest.raises(CheckpointError, match=r"another run \(precision differ"):
+            train_path(data, validation, whole[0], SHORT, precision="bf16", **TINY)
+        once = dataclasses.replace(SHORT, steps=1)
+        train_path(data, validation, tmp_path, once, precision="bf16", **TINY)
+        with pytest.raises(CheckpointError, match=r"another run \(precision differ"):
+            train_path(data, validation, tmp_path, once, **TINY)
+
+    def test_that_is_none(self):
+        with pytest.raises(InvalidInputError, match="one of no, bf16, fp16, got 'double'"):
+            Team.join("cpu", "double")
+
+    def test_products_of_float32_stay_float32(self):
+        before = torch.get_float32_matmul_precision()
+        torch.manual_seed(0)
+        x, y = torch.randn(2, 300, 300)
+        with CPU.products():
+            found = x @ y
+        torch.testing.assert_close(found.double(), x.double() @ y.double(), rtol=0, atol=1e-4)
+        assert torch.get_float32_matmul_precision() == before
+
+
 class TestConfig:
     @pytest.mark.parametrize(
         "wrong",

@@ -126,7 +126,7 @@ class TestConditions:
     def test_potential_is_the_fields(self, dim):
         targets = [0, 1, 0]
         model, points = make(dim, sigma=0.15 if dim == 2 else 0.08), self.points(dim)
-        found, _ = model.conditions(scenes(dim), targets).potential(points)
+        found = model.conditions(scenes(dim), targets).potential(points)
         for scene, target, inside, values in zip(scenes(dim), targets, points, found, strict=True):
             field = InformationPotentialField(scene.goals, model.config.sigma)
             world = Frame.of(scene, target).frame_to_world(inside.double().numpy())
@@ -135,7 +135,7 @@ class TestConditions:
     def test_gradient_is_the_potentials(self, dim):
         conditions = make(dim).conditions(scenes(dim), [0, 1, 0])
         points = self.points(dim).requires_grad_()
-        potential, gradient = conditions.potential(points)
+        potential, gradient = conditions.potential_and_gradient(points)
         (expected,) = torch.autograd.grad(potential.sum(), points)
         torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-4)
 

@@ -65,6 +65,7 @@ def path(
     validation: Folder = None,
     weights: Folder = None,
     device: OptionalText = None,
+    precision: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train stage 1, the path diffuser, and save its weights to OUT/weights.
@@ -81,6 +82,8 @@ def path(
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved; OUT/weights if not given.
         device: cpu or cuda; if not given, a GPU where there is one.
+        precision: of the network's products, no (float32), bf16 or fp16; if not given, what
+            `accelerate launch` was told, or no.
         json: the settings and the last validation as JSON.
     """
     settings = made(PathTrainingConfig, training)
@@ -89,14 +92,15 @@ def path(
     weights = weights or out / "weights"
     check_folder(out, "checkpoint")
     check_folder(weights, "weights")
-    team = Team.join(device)
+    team = Team.join(device, precision)
     checks = _validation(dataset.config, validation, out, workers, team)
     facts = {"data": dataset.config.to_dict(), "digest": dataset.digest}
 
     def run(progress: Callable[..., None]) -> nn.Module:
         return train_path(
-            dataset, checks, out, settings, device=device, progress=progress, **vars(model)
-        )
+            dataset, checks, out, settings,
+            device=device, precision=precision, progress=progress, **vars(model),
+        )  # fmt: skip
 
     _train("path", run, settings, facts, checks.digest, out, weights, team, json)
 

@@ -150,7 +150,12 @@ class Conditions:
         """The same after `function` of each tensor."""
         return Conditions(*(function(getattr(self, f.name)) for f in fields(self)))
 
-    def potential(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def potential(self, points: Tensor) -> Tensor:
+        """φ `(B, K)` at points `(B, K, D)`."""
+        odds = torch.baddbmm(self.intercepts[..., None], self.slopes, points.transpose(1, 2))
+        return F.softplus(odds.logsumexp(dim=1))
+
+    def potential_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """φ `(B, K)` at points `(B, K, D)` and its gradient there, `(B, K, D)`."""
         odds = points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
         against = torch.logsumexp(odds, dim=-1, keepdim=True)
@@ -259,7 +264,8 @@ class PathDiffuser(nn.Module):
         reading = self._read(noisy, conditions)
         if keep is not None:
             reading = reading * keep[:, None, None]
-        condition = F.silu(context + self.moments(timestep))
+        every = torch.arange(self.config.diffusion_steps, device=timestep.device)
+        condition = F.silu(context + F.embedding(timestep, self.moments(every)))
         return self.unet(torch.cat([noisy, reading], dim=-1), condition)
 
     def moments(self, timestep: Tensor) -> Tensor:
@@ -272,7 +278,7 @@ class PathDiffuser(nn.Module):
         # In float32 whatever the network's precision: log odds are large, their differences small.
         with torch.autocast(noisy.device.type, enabled=False):
             points = self.from_latent(noisy)
-            potential, gradient = conditions.potential(points)
+            potential, gradient = conditions.potential_and_gradient(points)
             wall_distance = conditions.wall_distance(points)
         reading = torch.cat([
             torch.log1p(potential)[..., None] - 1,

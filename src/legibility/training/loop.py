@@ -108,10 +108,12 @@ def train(
     average = copy.deepcopy(model).requires_grad_(False).eval()
     parameters = _trained(model)
     optimizer = torch.optim.AdamW(
-        parameters, lr=config.learning_rate, weight_decay=config.weight_decay
+        parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
     )
     scaler = team.scaler()
     identity = {**identity, "training": asdict(config)}
+    if team.precision != "no":
+        identity["precision"] = team.precision
     if team.main:
         for leftover in folder.glob(".*.safetensors"):  # of a run that was killed
             leftover.unlink()
@@ -124,6 +126,7 @@ def train(
             f"it is at step {done} here, at {found:g} in the mean"
         )
     log = _Log(folder, done) if team.main else None
+    _keep_memory()
     generator = torch.Generator()
     started = time.perf_counter() - seconds
     model.train()
@@ -132,12 +135,14 @@ def train(
             generator.manual_seed(_mix(config.seed, step))
             for group in optimizer.param_groups:
                 group["lr"] = config.learning_rate * _schedule(step, config)
-            value, figures = loss(model, generator)
-            optimizer.zero_grad(set_to_none=True)
-            scaler.scale(value).backward()
-            gradients = [p.grad for p in parameters if p.grad is not None]
-            for own, mean in zip(gradients, team.mean(gradients), strict=True):
-                own.copy_(mean)
+            with team.products():
+                value, figures = loss(model, generator)
+                optimizer.zero_grad(set_to_none=True)
+                scaler.scale(value).backward()
+            if team.size > 1:
+                gradients = [p.grad for p in parameters if p.grad is not None]
+                for own, mean in zip(gradients, team.mean(gradients), strict=True):
+                    own.copy_(mean)
             scaler.unscale_(optimizer)
             nn.utils.clip_grad_norm_(parameters, 1.0)
             scaler.step(optimizer)
@@ -169,6 +174,15 @@ def train(
         if log is not None:
             log.close()
     return average
+
+
+def _keep_memory() -> None:
+    """Let the C library keep what a step frees for the next one, which else waits for new pages.
+
+    glibc returns memory to the system block by block until it has seen a large block freed, of up
+    to 32 MB; elsewhere this does nothing.
+    """
+    torch.empty(31 << 20, dtype=torch.uint8)
 
 
 def _trained(model: nn.Module) -> list[nn.Parameter]:
@@ -223,7 +237,8 @@ def _restore(
     except (AttributeError, KeyError, TypeError) as cause:
         raise CheckpointError(f"{path} is not a training checkpoint") from cause
     if header != json.loads(json.dumps(identity)):
-        changed = [k for k in identity if header.get(k) != json.loads(json.dumps(identity[k]))]
+        wanted = json.loads(json.dumps(identity))
+        changed = [k for k in {**wanted, **header} if header.get(k) != wanted.get(k)]
         raise CheckpointError(f"{path} is of another run ({', '.join(changed)} differ)")
     groups: dict[str, dict[str, Tensor]] = {"model": {}, "average": {}, "optimizer": {}}
     for name, tensor in tensors.items():
@@ -239,7 +254,8 @@ def _restore(
             tensor = groups["optimizer"].get(f"{index}.{key}")
             if tensor is None or tensor.shape != shape or not torch.isfinite(tensor).all():
                 raise CheckpointError(f"{path}: optimizer.{index}.{key} is missing or broken")
-            state[index][key] = tensor
+            # Laid out as the weight, since the fused step rounds by the place in memory.
+            state[index][key] = torch.empty_like(parameter if shape else tensor).copy_(tensor)
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     return step, seconds
 

@@ -159,7 +159,7 @@ class FrameScorer:
 
     def score(self, conditions: Conditions, points: Tensor) -> Tensor:
         """`(B,)` of curves `(B, T, D)` in the start–target frames of `B` scenes."""
-        potential, _ = conditions.potential(points)
+        potential = conditions.potential(points)
         steps = (points.diff(dim=1).square().sum(-1) + 1e-12).sqrt()
         progress = F.pad(steps.cumsum(1), (1, 0)) / steps.sum(1, keepdim=True)
         decay = torch.exp(-self.alpha * progress)
@@ -193,6 +193,7 @@ def train_path(
     config: PathTrainingConfig | None = None,
     *,
     device: str | None = None,
+    precision: str | None = None,
     progress: Progress = lambda step, steps, figures: None,
     **settings: Any,
 ) -> PathDiffuser:
@@ -204,6 +205,7 @@ def train_path(
         folder: of the checkpoint and the log; an interrupted run goes on from there.
         config: how to train.
         device: where to; a GPU where there is one.
+        precision: no (float32), bf16 or fp16, see `Team.join`.
         progress: see `train`.
         **settings: of `PathDiffuserConfig`, but those that the data fixes.
 
@@ -216,7 +218,7 @@ def train_path(
         torch.manual_seed(config.seed)
         model = PathDiffuser(PathDiffuserConfig(**settings))
     check_data(model.config, data, validation)
-    team = Team.join(device)
+    team = Team.join(device, precision)
     batches = PathBatches(data, model, config, team)
     model = model.to(team.device)
     model.signal.copy_(noise_schedule(model.config.diffusion_steps))

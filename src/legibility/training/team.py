@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import torch
@@ -14,6 +15,8 @@ from torch import Tensor
 from ..errors import InvalidInputError
 
 __all__ = ["Team", "choose_device"]
+
+_DTYPES = {"no": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
 _LAUNCHED = ("ACCELERATE_MIXED_PRECISION", "LOCAL_RANK")
 """Variables of which `accelerate launch` sets the first always, `torchrun` the second."""
@@ -38,25 +41,32 @@ class Team:
     accelerator: Any = None
 
     @classmethod
-    def join(cls, device: str | None = None) -> Team:
+    def join(cls, device: str | None = None, precision: str | None = None) -> Team:
         """The team that `accelerate launch` or `torchrun` started, or this process alone.
 
         Args:
             device: where to train; if not given, what accelerate chose, or a GPU if there is one.
+            precision: no, bf16 or fp16; if not given, what the launcher was told, or no.
 
         Raises:
             InvalidInputError: the device or the precision cannot be used here.
         """
+        if precision is not None and precision not in _DTYPES:
+            raise InvalidInputError(
+                f"precision must be one of {', '.join(_DTYPES)}, got {precision!r}"
+            )
         if not any(name in os.environ for name in _LAUNCHED):
-            return cls(choose_device(device))
+            return cls(choose_device(device), precision=precision or "no")
         from accelerate import Accelerator
 
         try:
-            joined = Accelerator(cpu=device == "cpu")
+            joined = Accelerator(cpu=device == "cpu", mixed_precision=precision)
         except ValueError as cause:
             raise InvalidInputError(f"accelerate cannot be used here: {cause}") from cause
         where = joined.device if device is None else choose_device(device)
         precision = str(joined.mixed_precision)
+        if precision not in _DTYPES:
+            raise InvalidInputError(f"nothing here trains in {precision}")
         return cls(where, joined.process_index, joined.num_processes, precision, joined)
 
     @property
@@ -78,7 +88,24 @@ class Team:
 
     def autocast(self) -> Any:
         """A context in which the network computes in the team's precision."""
-        return self.accelerator.autocast() if self.accelerator else nullcontext()
+        if self.precision == "no":
+            return nullcontext()
+        return torch.autocast(self.device.type, dtype=_DTYPES[self.precision])
+
+    @contextmanager
+    def products(self) -> Iterator[None]:
+        """A context in which products of float32 on a CPU are made by the quicker library.
+
+        PyTorch leaves them to MKL, which on some processors needs twice the time of oneDNN. What
+        makes PyTorch ask oneDNN permits bfloat16 besides, and where that would be used MKL is kept.
+        """
+        before = torch.get_float32_matmul_precision()
+        if self.device.type == "cpu" and _exact("medium"):
+            torch.set_float32_matmul_precision("medium")
+        try:
+            yield
+        finally:
+            torch.set_float32_matmul_precision(before)
 
     @contextmanager
     def main_first(self) -> Iterator[None]:
@@ -97,6 +124,18 @@ class Team:
     def scaler(self) -> torch.amp.GradScaler:
         """What keeps small gradients from vanishing in fp16; in others it does nothing."""
         return torch.amp.GradScaler(self.device.type, enabled=self.precision == "fp16")
+
+
+@cache
+def _exact(precision: str) -> bool:
+    """Whether this CPU's products stay float32 if a float32 matmul precision is permitted."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision(precision)
+    try:
+        fine = torch.full((256, 256), 1 + 2.0**-20)
+        return torch.equal(fine @ torch.eye(256), fine)
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 def choose_device(name: str | None) -> torch.device:
