@@ -9,6 +9,7 @@ from tyro.conf import arg
 
 from ..errors import InvalidInputError
 from ..evaluation.bench import BenchConfig, run_bench
+from ..evaluation.distilled_table import SUFFIX
 from .options import MODELS, OutputFile, flags, made
 from .output import (
     check_file,
@@ -22,6 +23,7 @@ from .output import (
 )
 
 _Bench = flags(BenchConfig)
+_MODELS = tuple(name + suffix for name in MODELS.values() for suffix in ("", SUFFIX))
 
 _MADE = {
     "archive": "candidates_per_second",
@@ -32,7 +34,7 @@ _MADE = {
 
 def bench(
     measured: Annotated[Any, arg(constructor=_Bench)],
-    model: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = tuple(MODELS.values()),
+    model: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = _MODELS,
     json: OutputFile = None,
 ) -> None:
     """Measure how fast planning, moving and training are here, and what they need.

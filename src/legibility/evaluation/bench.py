@@ -14,7 +14,7 @@ from ..checks import count, positive
 from ..envs import vector_type
 from ..errors import InvalidInputError, MissingExtraError
 from ..modulator import BACKENDS, Modulator
-from ..training import PathTrainingConfig, choose_device
+from ..training import PathTrainingConfig, Team, choose_device
 from . import workloads
 from .execution import step_milliseconds
 from .footprint import footprint, import_seconds
@@ -409,14 +409,18 @@ def _dataset(dim: int, config: BenchConfig) -> dict[str, Any]:
 def _training(
     name: str, modulator: Modulator, config: BenchConfig, device: torch.device
 ) -> dict[str, Any]:
-    """Steps of stage 1 at the batch that it is trained with."""
-    settings = PathTrainingConfig()
-    work = workloads.training(modulator.config, device, config.training_steps)
-    times = interleaved({"step": work}, config.seconds, config.rounds, warm_up=False)["step"]
+    """Steps of stage 1 at the batch that it is trained with, in float32 and in bf16."""
+    settings, steps = PathTrainingConfig(), config.training_steps
+    works = {
+        precision: workloads.training(modulator.config, Team(device, precision=precision), steps)
+        for precision in ("no", "bf16")
+    }
+    times = interleaved(works, config.seconds, config.rounds, warm_up=False)
     found = {
         "batch": settings.scenes * settings.per_scene,
-        "step_ms": figure(times, 1e3),
-        "steps_per_second": rate(times),
+        "step_ms": figure(times["no"], 1e3),
+        "steps_per_second": rate(times["no"]),
+        "steps_per_second_bf16": rate(times["bf16"]),
         "process": footprint("torch", "training", torch.get_num_threads(), model=name),
     }
     return {"training": {str(modulator.config.dim): found}}

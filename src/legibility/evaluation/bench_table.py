@@ -119,7 +119,8 @@ over; 1 is in proportion, 0 is not at all.""")
 
 def _making(result: dict[str, Any]) -> str:
     head = ["dimension", "archive [ms]", "candidates a second", "growth with candidates"]
-    head += ["scenes a second", "growth with scenes", "training steps a second", "memory [MB]"]
+    head += ["scenes a second", "growth with scenes", "training steps a second", "in bf16"]
+    head += ["memory [MB]"]
     rows = []
     for dim, archive in result["archive"].items():
         dataset, training = result["dataset"][dim], result["training"][dim]
@@ -127,7 +128,8 @@ def _making(result: dict[str, Any]) -> str:
         rows.append([
             f"{dim}-D", _shown(archive["archive_ms"]), _shown(archive["candidates_per_second"]),
             _power(archive["growth"]), _shown(dataset["scenes_per_second"]),
-            _power(dataset["growth"]), _shown(training["steps_per_second"]), " / ".join(memory),
+            _power(dataset["growth"]), _shown(training["steps_per_second"]),
+            _shown(training["steps_per_second_bf16"]), " / ".join(memory),
         ])  # fmt: skip
     batch = next(iter(result["training"].values()))["batch"]
     text = filled(f"""\

@@ -107,7 +107,7 @@ def _steps(job: str, threads: int, options: dict[str, Any]) -> dict[str, Callabl
     from .published import PublishedDiffuser
 
     torch.set_num_threads(threads)
-    cpu = torch.device("cpu")
+    alone = workloads.Team(torch.device("cpu"))
     if job == "rollouts":
         model = workloads.Modulator.from_pretrained(options["model"], backend=options["backend"])
         return {job: workloads.rollouts(model, options["robots"])}
@@ -116,7 +116,7 @@ def _steps(job: str, threads: int, options: dict[str, Any]) -> dict[str, Callabl
     if job == "published":
         return {job: lambda: PublishedDiffuser().eval().sample(1, options["steps"])}
     config = workloads.Modulator.from_pretrained(options["model"]).config
-    return {job: lambda: workloads.training(config, cpu, 1)()}
+    return {job: lambda: workloads.training(config, alone, 1)()}
 
 
 def _planning(

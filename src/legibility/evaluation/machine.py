@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..curves import NUM_WAYPOINTS
 from ..models.path_diffuser import PathDiffuser
+from ..training import Team
 from .timing import Work, timed
 from .workloads import bench_scene, levels, settle
 
@@ -68,14 +69,16 @@ def load_average() -> float | None:
 
 
 def limits(device: torch.device) -> dict[Any, Work]:
-    """A product of matrices and a copy on `device`."""
+    """A product of matrices, by the quicker library, and a copy on `device`."""
+    team = Team(device)
     one, two = torch.rand(2, _SIDE, _SIDE, device=device)
     product = torch.empty_like(one)
     source = torch.rand(_COPIED, device=device)
     target = torch.empty_like(source)
 
     def multiply() -> None:
-        torch.mm(one, two, out=product)
+        with team.products():
+            torch.mm(one, two, out=product)
         settle(device)
 
     def copy() -> None:

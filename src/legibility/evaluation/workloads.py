@@ -139,21 +139,20 @@ def dataset(dim: int, scenes: int) -> Callable[[], Dataset]:
     return call
 
 
-def training(config: PathDiffuserConfig, device: torch.device, steps: int) -> Work:
+def training(config: PathDiffuserConfig, team: Team, steps: int) -> Work:
     """Train stage 1 from nothing for `steps`; the pieces are the steps but the first and last."""
     settings = PathTrainingConfig(steps=steps + 2)
     model = PathDiffuser(config)
     model.signal.copy_(noise_schedule(config.diffusion_steps))
-    team = Team(device)
     batches = PathBatches(dataset(config.dim, SCENES_TRAINED)(), model, settings, team)
-    model = model.to(device)
+    model = model.to(team.device)
     model.spread.copy_(batches.spread(model))
 
     def work() -> list[float]:
         ends: list[float] = []
 
         def progress(*_: object) -> None:
-            settle(device)
+            settle(team.device)
             ends.append(time.perf_counter())
 
         with tempfile.TemporaryDirectory() as folder:
