@@ -381,6 +381,19 @@ class TestPretrained:
         with pytest.raises(OutputError, match="cannot write"):
             flat.save_pretrained(tmp_path / "file" / "weights")
 
+    @pytest.mark.parametrize("name", [n for n in pretrained_names() if n.endswith("-fast")])
+    def test_a_student_draws_as_it_learned_to(self, name):
+        model = Modulator.from_pretrained(name)
+        assert model.distilled
+        assert not Modulator.from_pretrained(name.removesuffix("-fast")).distilled
+        scene = lg.Scene.random(np.random.default_rng(0), dim=model.config.dim)
+        path = model.plan(scene, 0, [-1, 1], guidance=0.0, steps=1)
+        np.testing.assert_array_equal(path.waypoints, model.plan(scene, 0, [-1, 1]).waypoints)
+        with pytest.raises(InvalidInputError, match="was distilled: its guidance is 0 and its st"):
+            model.plan(scene, 0, steps=3)
+        with pytest.raises(InvalidInputError, match=r"got 0\.3 and None"):
+            model.plan_many([scene], [0], 1.0, guidance=0.3)
+
     @pytest.mark.parametrize("name", ["no-such-model", "", "..", "../weights", "a/b", "a\0b"])
     def test_no_such_weights(self, tmp_path, monkeypatch, name):
         monkeypatch.chdir(tmp_path)

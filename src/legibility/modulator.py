@@ -96,6 +96,11 @@ class Modulator:
         """The settings of stage 1."""
         return self.path_diffuser.config
 
+    @property
+    def distilled(self) -> bool:
+        """Whether stage 1 is a student, see `distill_path`: it draws as it learned to, not else."""
+        return "teacher" in (self.training.get("path") or {})
+
     @classmethod
     def from_pretrained(
         cls, name_or_folder: str | FilePath, *, backend: str = "torch"
@@ -342,6 +347,12 @@ class Modulator:
         if steps is not None and count("steps", steps) > self.config.diffusion_steps:
             raise InvalidInputError(
                 f"steps must be at most {self.config.diffusion_steps}, got {steps}"
+            )
+        own = (self.config.guidance, self.config.sampling_steps)
+        if self.distilled and (guidance not in (None, own[0]) or steps not in (None, own[1])):
+            raise InvalidInputError(
+                f"the model {self.name} was distilled: its guidance is {own[0]:g} and its steps "
+                f"{own[1]}, got {guidance} and {steps}"
             )
         return guidance, steps
 

@@ -149,6 +149,11 @@ def evaluate_ablations(
     """
     config, folder = config or AblationsConfig(), Path(folder)
     modulator = Modulator.from_pretrained(model)
+    if modulator.distilled:
+        raise InvalidInputError(
+            f"the model {modulator.name} was distilled: give its teacher, which can be sampled "
+            "otherwise"
+        )
     rows = variants(config, modulator.config)
     _check(data.config, modulator.config)
     choose_device(device)  # refused before anything is made
