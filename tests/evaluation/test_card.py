@@ -199,7 +199,8 @@ class TestDistilled:
         rows = cells(text)
         assert [row[0] for row in rows] == ["weights", "---", "m", "m-fast"] * 2
         assert rows[0][1:] == [FIGURES[name].text for name in (
-            "spearman", "error", "error_candidates", "at_1", "at_-1", "drawn_inside"
+            "spearman", "error", "error_candidates", "at_1", "at_-1", "beyond_archive",
+            "drawn_inside", "spread",
         )]  # fmt: skip
         assert rows[3][2] == "0.2500 (0.2400 to 0.2600)"
         assert rows[2][2] != rows[3][2]
@@ -207,6 +208,12 @@ class TestDistilled:
 
     def test_without_a_pair_there_is_nothing(self):
         assert distilled_section({"m": {"dial": dial()}, "n-fast": {"dial": dial()}}) == ""
+
+    def test_other_scenes_are_not_compared(self):
+        fast = dial()
+        fast["seed"] = 8
+        with pytest.raises(InvalidInputError, match=r"dial-m-fast\.json is of other scenes"):
+            distilled_section({"m": {"dial": dial()}, "m-fast": {"dial": fast}})
 
     def test_card_tells_of_the_teacher(self):
         config = copy.deepcopy(CONFIG)
@@ -226,6 +233,10 @@ class TestDistilled:
         assert "a student that draws in 1 step without" in words
         assert "drew 64 paths" in words
         assert "(weight 2.5)" in words
+        config["path"]["training"]["teacher"]["training"] = None
+        assert "How its teacher was made is not known. Then what the teacher" in " ".join(
+            render_card("m", config, documents()).split()
+        )
 
 
 class TestCard:

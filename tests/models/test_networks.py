@@ -88,6 +88,20 @@ def test_activation_in_training_is_that_of_pytorch(modulated, mean):
         torch.testing.assert_close(norm.activated(x, modulation), expected[0], atol=1e-5, rtol=1e-5)
 
 
+def test_a_batch_of_one_leaves_the_weights_alone():
+    torch.manual_seed(0)
+    net, x = FiLMUNet(6, 2, (8, 8, 8, 8), condition=5), torch.randn(1, 8, 6)
+    torch.nn.init.normal_(net.outlet.weight)
+    before = {name: value.clone() for name, value in net.state_dict().items()}
+    condition = torch.randn(1, 5)
+    found = net(x, condition)
+    found.sum().backward()
+    for name, value in net.state_dict().items():
+        assert torch.equal(value, before[name]), name
+    with torch.no_grad():
+        torch.testing.assert_close(net(x, condition), found, atol=1e-5, rtol=1e-5)
+
+
 def test_unet_in_bfloat16_is_that_in_float32_to_its_rounding():
     torch.manual_seed(0)
     net, x = FiLMUNet(6, 2, (64, 128), condition=5), torch.randn(64, 8, 6)

@@ -25,6 +25,7 @@ __all__ = [
     "OptionalText",
     "OutputFile",
     "SceneFile",
+    "Where",
     "Workers",
     "flags",
     "levels",
@@ -66,6 +67,20 @@ class Workers:
 
     workers: int = 1
     cluster: OptionalText = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Where:
+    """Where a network is trained, and how exactly.
+
+    Attributes:
+        device: cpu or cuda; if not given, a GPU where there is one.
+        precision: of the network's products, no (float32), bf16 or fp16; if not given, what
+            `accelerate launch` was told, or no.
+    """
+
+    device: OptionalText = None
+    precision: OptionalText = None
 
 
 def levels(entries: Sequence[str]) -> Array:

@@ -83,7 +83,8 @@ def report(
                 figures += _figures(kind, file, document["result"])
             texts[file.with_suffix(".md")] = f"{section}\n"
             sections.append((file, document, section))
-            if page is not None and not name.endswith(SUFFIX):
+            beside = name.endswith(SUFFIX) and name.removesuffix(SUFFIX) in found
+            if page is not None and not (beside and kind in _OF_WEIGHTS):
                 page = replace_table(page, file.stem, section)
         if weights is not None and (weights / name).is_dir():
             config = _read(weights / name / "config.json")
@@ -118,6 +119,10 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "ablations": ablations_section,
     "bench": bench_section,
 }
+
+
+_OF_WEIGHTS = ("dial", "closed-loop", "execution", "transfer")
+"""Kinds of which a page shows those of distilled weights in one table."""
 
 
 @contextlib.contextmanager

@@ -34,7 +34,7 @@ from ..training import (
     train_policy,
     tune_guidance,
 )
-from .options import Folder, OptionalText, OutputFile, Workers, flags, made
+from .options import Folder, OutputFile, Where, Workers, flags, made
 from .output import (
     check_file,
     check_folder,
@@ -60,12 +60,11 @@ def path(
     training: Annotated[Any, arg(constructor=_PathTraining)],
     model: Annotated[Any, arg(constructor=_PathModel)],
     workers: Workers,
+    where: Where,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
     weights: Folder = None,
-    device: OptionalText = None,
-    precision: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train stage 1, the path diffuser, and save its weights to OUT/weights.
@@ -77,13 +76,11 @@ def path(
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
+        where: where it is trained.
         data: folder of the dataset, made by `legibility data`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved; OUT/weights if not given.
-        device: cpu or cuda; if not given, a GPU where there is one.
-        precision: of the network's products, no (float32), bf16 or fp16; if not given, what
-            `accelerate launch` was told, or no.
         json: the settings and the last validation as JSON.
     """
     settings = made(PathTrainingConfig, training)
@@ -92,14 +89,14 @@ def path(
     weights = weights or out / "weights"
     check_folder(out, "checkpoint")
     check_folder(weights, "weights")
-    team = Team.join(device, precision)
+    team = Team.join(**vars(where))
     checks = _validation(dataset.config, validation, out, workers, team)
     facts = {"data": dataset.config.to_dict(), "digest": dataset.digest}
 
     def run(progress: Callable[..., None]) -> nn.Module:
         return train_path(
             dataset, checks, out, settings,
-            device=device, precision=precision, progress=progress, **vars(model),
+            progress=progress, **vars(where), **vars(model),
         )  # fmt: skip
 
     _train("path", run, settings, facts, checks.digest, out, weights, team, json)
@@ -108,12 +105,12 @@ def path(
 def distill(
     training: Annotated[Any, arg(constructor=_Distillation)],
     workers: Workers,
+    where: Where,
     teacher: Annotated[str, arg(metavar="NAME")],
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
     weights: Folder = None,
-    device: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train a student of stage 1 that draws in one step what its teacher draws in several, guided.
@@ -125,12 +122,12 @@ def distill(
     Args:
         training: how it is trained.
         workers: who makes the validation data.
+        where: where it is trained.
         teacher: name or folder of the weights that are distilled.
         data: folder of a dataset with the teacher's labels, made by `legibility data`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved; OUT/weights if not given.
-        device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
     """
     settings = made(DistillationConfig, training)
@@ -141,9 +138,11 @@ def distill(
         raise CheckpointError(f"{folder} has no stage 1")
     dataset = Dataset.load(data)
     weights = weights or out / "weights"
+    if weights.resolve() == folder.resolve():
+        raise InvalidInputError(f"weights must not be the teacher's own folder, got {weights}")
     check_folder(out, "checkpoint")
     check_folder(weights, "weights")
-    team = Team.join(device)
+    team = Team.join(**vars(where))
     checks = _validation(dataset.config, validation, out, workers, team)
     facts = {
         "data": dataset.config.to_dict(),
@@ -162,7 +161,7 @@ def distill(
         with progress_bar("scenes of the teacher") as drawn:
             student = distill_path(
                 stages["path"], dataset, checks, out, settings,
-                device=device, progress=progress, drawn=drawn,
+                progress=progress, drawn=drawn, **vars(where),
             )  # fmt: skip
         if "policy" in stages and team.main:
             save_stage(weights, "policy", stages["policy"], made_by["policy"])
@@ -175,11 +174,11 @@ def policy(
     training: Annotated[Any, arg(constructor=_PolicyTraining)],
     model: Annotated[Any, arg(constructor=_PolicyModel)],
     workers: Workers,
+    where: Where,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
     weights: Folder = None,
-    device: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train stage 2, the path-guided policy, and save its weights to OUT/weights.
@@ -191,18 +190,18 @@ def policy(
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
+        where: where it is trained.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved, beside those of stage 1 if they are there;
             OUT/weights if not given.
-        device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
     """
     settings = made(PolicyTrainingConfig, training)
     _train_on_demonstrations(
         "policy", train_policy, vars(model), settings, data, out, validation, workers, weights,
-        device, json,
+        where, json,
     )  # fmt: skip
 
 
@@ -210,11 +209,11 @@ def diffusion_policy(
     training: Annotated[Any, arg(constructor=_DiffusionPolicyTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
     workers: Workers,
+    where: Where,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
     weights: Folder = None,
-    device: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility.
@@ -226,16 +225,16 @@ def diffusion_policy(
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
+        where: where it is trained.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved; OUT/weights if not given.
-        device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
     """
     settings = made(PolicyTrainingConfig, training)
     _train_on_demonstrations(
-        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, device,
+        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, where,
         json,
     )  # fmt: skip
 
@@ -244,11 +243,11 @@ def legibility_diffuser(
     training: Annotated[Any, arg(constructor=_LegibilityDiffuserTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
     workers: Workers,
+    where: Where,
     data: Annotated[Path, arg(metavar="DIR")],
     out: Annotated[Path, arg(metavar="DIR")],
     validation: Folder = None,
     weights: Folder = None,
-    device: OptionalText = None,
     json: OutputFile = None,
 ) -> None:
     """Train the baseline Legibility Diffuser, then tune its guidance on the validation scenes.
@@ -262,16 +261,16 @@ def legibility_diffuser(
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
+        where: where it is trained.
         data: folder of the demonstrations, made by `legibility data --demonstrations`.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved; OUT/weights if not given.
-        device: cpu or cuda; if not given, a GPU where there is one.
         json: the settings and the last validation as JSON.
     """
     settings = made(PolicyTrainingConfig, training)
     _train_on_demonstrations(
-        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, device,
+        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, where,
         json, tune=True,
     )  # fmt: skip
 
@@ -286,7 +285,7 @@ def _train_on_demonstrations(
     validation: Path | None,
     workers: Workers,
     weights: Path | None,
-    device: str | None,
+    where: Where,
     json: Path | None,
     tune: bool = False,
 ) -> None:
@@ -295,7 +294,7 @@ def _train_on_demonstrations(
     weights = weights or out / "weights"
     check_folder(out, "checkpoint")
     check_folder(weights, "weights")
-    team = Team.join(device)
+    team = Team.join(**vars(where))
     checks = _validation(demonstrations.dataset, validation, out, workers, team)
     facts = {
         "data": demonstrations.dataset.to_dict(),
@@ -305,7 +304,7 @@ def _train_on_demonstrations(
 
     def run(progress: Callable[..., None]) -> nn.Module:
         trained = train_it(
-            demonstrations, checks, out, settings, device=device, progress=progress, **model
+            demonstrations, checks, out, settings, progress=progress, **vars(where), **model
         )
         if tune and team.main:
             with progress_bar("combinations of guidance") as tuned:

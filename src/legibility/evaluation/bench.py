@@ -193,8 +193,11 @@ def _plans(name: str, backends: Backends, config: BenchConfig) -> dict[str, Any]
     stage = backends["torch"].path_diffuser
     works |= limits(stage.spread.device)
     times = interleaved(works, config.seconds, config.rounds)
-    flops = figure([[PRODUCT_FLOPS / t for t in part] for part in times["product"]])
-    moved = figure([[COPY_BYTES / t for t in part] for part in times["copy"]])
+    flops = max(
+        (rate(times[name], PRODUCT_FLOPS) for name in ("product", "product otherwise")),
+        key=lambda found: found["median"],
+    )
+    moved = rate(times["copy"], COPY_BYTES)
     floor: dict[str, dict[str, float]] = {}
     for batch in config.batches:
         cost = forward_cost(stage, batch)
@@ -411,16 +414,17 @@ def _training(
 ) -> dict[str, Any]:
     """Steps of stage 1 at the batch that it is trained with, in float32 and in bf16."""
     settings, steps = PathTrainingConfig(), config.training_steps
+    halved = device.type == "cpu" or torch.cuda.is_bf16_supported()
     works = {
         precision: workloads.training(modulator.config, Team(device, precision=precision), steps)
-        for precision in ("no", "bf16")
+        for precision in ("no", "bf16")[: 1 + halved]
     }
     times = interleaved(works, config.seconds, config.rounds, warm_up=False)
     found = {
         "batch": settings.scenes * settings.per_scene,
         "step_ms": figure(times["no"], 1e3),
         "steps_per_second": rate(times["no"]),
-        "steps_per_second_bf16": rate(times["bf16"]),
+        "steps_per_second_bf16": rate(times["bf16"]) if halved else None,
         "process": footprint("torch", "training", torch.get_num_threads(), model=name),
     }
     return {"training": {str(modulator.config.dim): found}}

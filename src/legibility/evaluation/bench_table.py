@@ -74,9 +74,9 @@ def _floor(result: dict[str, Any]) -> str:
             ])  # fmt: skip
     text = filled(f"""\
 The floor is the time that the operations of stage 1 need at least at the speed of a matrix product
-here, or its numbers at that of a copy, whichever is longer ({"; ".join(limits)}, measured beside
-each model). Held against it is drawing alone, without the scene's images before and the checks
-after it.""")
+here (by the quicker of PyTorch's libraries), or its numbers at that of a copy, whichever is longer
+({"; ".join(limits)}, measured beside each model). Held against it is drawing alone, without the
+scene's images before and the checks after it.""")
     return f"{text}\n\n{_table(head, rows)}"
 
 
@@ -113,7 +113,8 @@ def _growth(result: dict[str, Any]) -> str:
     ]
     text = filled("""\
 How the time of planning grows: the exponent b of a power law sizeᵇ and the range that it was fitted
-over; 1 is in proportion, 0 is not at all.""")
+over; 1 is in proportion, 0 is not at all. Candidates are drawn in a scene whose archive is there
+already.""")
     return f"{text}\n\n{_table(['model', 'backend', *axes], rows)}"
 
 

@@ -280,16 +280,21 @@ def _stage_1(config: dict[str, Any], training: dict[str, Any]) -> list[str]:
         return [trained(training, batch)]
     steps, before = config["sampling_steps"], teacher["sampling_steps"]
     settings, own = training["training"], teacher["training"]
+    first = ["How its teacher was made is not known."]
+    if own is not None:
+        first = [
+            f"First a teacher, on data of SHA-256 `{own['digest']}`:\n", trained(own, batch)
+        ]  # fmt: skip
     return [
-        f"First a teacher, on data of SHA-256 `{own['digest']}`:\n",
-        trained(own, batch),
+        *first,
         "",
         filled(f"""\
 Then what the teacher (SHA-256 `{teacher["sha256"]}`) draws in {before} steps with guidance
 {teacher["guidance"]:g} was distilled into a student that draws in {steps} step{"s" * (steps > 1)}
 without. In every scene of the data above the teacher drew {settings["pairs"]} paths, ℓ all over
-the dial; from the same noise the student is to draw the same path, and the label that its path
-achieves is to be the asked one (weight {settings["score_weight"]:g}):"""),
+the dial; from the same noise the student is to draw nearly the same path, and the label that its
+path achieves is to be the asked one (weight {settings["score_weight"]:g}). The time that the
+teacher took to draw is not counted:"""),
         "",
         trained(training, batch),
     ]

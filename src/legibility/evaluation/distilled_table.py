@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..errors import InvalidInputError
 from .dial import FIGURES
 from .wording import filled, goals_of
 
@@ -12,7 +13,10 @@ __all__ = ["SUFFIX", "distilled_section"]
 SUFFIX = "-fast"
 """What the name of distilled weights has more than that of their teacher."""
 
-_PLANNED = ("spearman", "error", "error_candidates", "at_1", "at_-1", "drawn_inside")
+_PLANNED = (
+    "spearman", "error", "error_candidates", "at_1", "at_-1", "beyond_archive", "drawn_inside",
+    "spread",
+)  # fmt: skip
 """Figures that are shown, of `FIGURES`."""
 
 _EXECUTED = ("spearman", "error", "success")
@@ -26,6 +30,9 @@ def distilled_section(found: Documents) -> str:
     Args:
         found: by the weights' name and kind, `dial` and, if it was measured, `closed-loop`, the
             JSON of `legibility evaluate dial`.
+
+    Raises:
+        InvalidInputError: a pair was measured on other scenes.
     """
     parts: list[str] = []
     for kind, names in (("dial", _PLANNED), ("closed-loop", _EXECUTED)):
@@ -35,9 +42,17 @@ def distilled_section(found: Documents) -> str:
             if kind in found[fast] and kind in found.get(fast.removesuffix(SUFFIX), {})
             for name in (fast.removesuffix(SUFFIX), fast)
         ]
+        for (_, one), (name, two) in zip(pairs[::2], pairs[1::2], strict=True):
+            if any(_scenes(one)[key] != _scenes(two)[key] for key in _scenes(one)):
+                raise InvalidInputError(f"{kind}-{name}.json is of other scenes than its teacher's")
         if pairs:
             parts += [_text(kind, [document for _, document in pairs]), _table(pairs, names)]
     return "\n\n".join(parts)
+
+
+def _scenes(document: dict[str, Any]) -> dict[str, Any]:
+    names = ("scenes", "goals", "levels", "samples")
+    return {"seed": document["seed"], **{n: document["config"].get(n) for n in names}}
 
 
 def _text(kind: str, documents: list[dict[str, Any]]) -> str:

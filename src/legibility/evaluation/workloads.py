@@ -44,7 +44,9 @@ SCENES_TRAINED = 4
 """Scenes that a step of training draws its batch from; its time does not depend on them."""
 
 _NEVER = 1e-12
-_FRESH = 100  # scenes in turns: more than any cache of a plan's parts keeps
+_FRESH = 100
+_NEXT = itertools.count(0, _FRESH)
+"""Each work plans in scenes of its own, in turns, more of them than a cache of parts keeps."""
 
 
 def bench_scene(dim: int, goals: int = 4, index: int = 0) -> Scene:
@@ -65,10 +67,9 @@ def planning(
 
     With candidates it is the same scene, as its archive is kept.
     """
-    fresh = candidates == 1
-    scenes = [bench_scene(modulator.config.dim, goals, i) for i in range(_FRESH if fresh else 1)]
+    indices = [0] if candidates > 1 else range(next(_NEXT), next(_NEXT))
+    places = itertools.cycle([bench_scene(modulator.config.dim, goals, i) for i in indices])
     asked, seeds = levels(batch), itertools.count()
-    places = itertools.cycle(scenes)
     return lambda: modulator.plan(
         next(places), 0, asked, seed=next(seeds), num_candidates=candidates
     )
@@ -89,10 +90,16 @@ def drawing(modulator: Modulator, batch: int) -> Callable[[], object]:
 
 
 def many_scenes(modulator: Modulator, scenes: int) -> Callable[[], object]:
-    """Plan a path in each of `scenes`, other ones each time."""
-    places = [bench_scene(modulator.config.dim, index=i) for i in range(scenes)]
+    """Plan a path in each of `scenes`, other ones each time, of which nothing is known yet."""
+    first, groups = next(_NEXT), -(-_FRESH // scenes) + 1
+    places = itertools.cycle(
+        [
+            [bench_scene(modulator.config.dim, index=first + i * scenes + j) for j in range(scenes)]
+            for i in range(groups)
+        ]
+    )
     targets, seeds = [0] * scenes, itertools.count()
-    return lambda: modulator.plan_many(places, targets, levels(scenes), seed=next(seeds))
+    return lambda: modulator.plan_many(next(places), targets, levels(scenes), seed=next(seeds))
 
 
 def rollouts(modulator: Modulator, robots: int) -> Callable[[], object]:

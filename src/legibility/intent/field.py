@@ -39,10 +39,10 @@ class InformationPotentialField:
     """
 
     def __init__(self, goals: ArrayLike, sigma: float, prior: ArrayLike | None = None) -> None:
-        self.goals = goals_array(goals).copy()
-        self.sigma = positive("sigma", sigma)
-        self.prior = prior_array(prior, len(self.goals))
-        for array in (self.goals, self.prior):
+        self._goals = goals_array(goals).copy()
+        self._sigma = positive("sigma", sigma)
+        self._prior = prior_array(prior, len(self.goals))
+        for array in (self._goals, self._prior):
             array.setflags(write=False)
         # ‖x − g‖² without the term that all goals share, about their mean: exact far away too.
         self._origin = self.goals.mean(axis=0)
@@ -59,10 +59,24 @@ class InformationPotentialField:
             raise InvalidInputError(f"sigma must let the goals be told apart, got {sigma}")
 
     @classmethod
-    @functools.lru_cache(maxsize=64)  # a plan asks for it four times
     def of(cls, scene: Scene, sigma: float) -> InformationPotentialField:
         """The field of a scene's goals under a uniform prior; the last ones are kept."""
-        return cls(scene.goals, sigma)
+        return _of(scene, positive("sigma", sigma))
+
+    @property
+    def goals(self) -> Array:
+        """`(G, D)` [m]."""
+        return self._goals
+
+    @property
+    def sigma(self) -> float:
+        """σ [m]."""
+        return self._sigma
+
+    @property
+    def prior(self) -> Array:
+        """`(G,)`, P(g)."""
+        return self._prior
 
     @property
     def num_goals(self) -> int:
@@ -119,3 +133,8 @@ class InformationPotentialField:
         axes = [low + centres * (high - low) for low, high in workspace.T]
         points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
         return self.potential(points, target)
+
+
+@functools.lru_cache(maxsize=64)  # a plan asks for it four times
+def _of(scene: Scene, sigma: float) -> InformationPotentialField:
+    return InformationPotentialField(scene.goals, sigma)

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 __all__ = ["DistractorEncoder", "FiLMUNet", "FieldEncoder", "Residual", "fourier"]
@@ -100,13 +101,16 @@ class _Taps(torch.autograd.Function):
         """`x (K, B, C)`, `weight (taps, C, C′)` to `(num, B, C′)`."""
         ctx.save_for_backward(x, weight)
         ctx.joins = joins
-        found = bias.expand(num, x.shape[1], -1).contiguous()
+        found = bias.repeat(num, x.shape[1], 1)  # a copy even of one row, since it is added to
         for tap, (outs, ins) in zip(weight, joins, strict=True):
             _add_product(found[outs], x[ins], tap)
         return found
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *gradients: Tensor
+    ) -> tuple[Tensor | None, ...]:
         """Of `x`, `weight` and `bias`."""
         (x, weight), gradient = ctx.saved_tensors, gradients[0].contiguous()
         of_x = torch.zeros_like(x) if ctx.needs_input_grad[0] else None
@@ -146,7 +150,7 @@ class _Convolution(nn.Conv1d):
         """`(B, K, C)` to `(B, K / stride, C′)`."""
         stride = self.stride[0]
         if torch.is_grad_enabled():
-            joins = _KEEP if stride == 1 else _SHRINK
+            joins = _KEEP if stride == 1 else _SHRINK  # of an even number of points
             return _by_taps(self, input, joins, input.shape[1] // stride)
         windows = F.pad(input, (0, 0, 1, 1)).unfold(1, 3, stride)
         windows = windows.transpose(2, 3).flatten(2).contiguous()
@@ -192,7 +196,9 @@ Modulation = tuple[Tensor, Tensor]
 class _Activation(torch.autograd.Function):
     """Group normalisation, an affine function and SiLU in training, with few passes over the data.
 
-    In float32 whatever the precision of the data, in which passes are slower.
+    In float32 whatever the precision of the data, in which passes are slower. The variance is the
+    mean square less the squared mean: exact enough while a group's mean is not many times its
+    standard deviation, and in networks like ours it is not.
     """
 
     @staticmethod
@@ -211,7 +217,10 @@ class _Activation(torch.autograd.Function):
         return F.silu(torch.addcmul(offset, x, slope), inplace=True).to(data.dtype)
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *gradients: Tensor
+    ) -> tuple[Tensor | None, ...]:
         """Of `data`, `scale` and `shift`."""
         data, scale, mean, inverse, slope, offset = ctx.saved_tensors
         x = data.float()

@@ -238,19 +238,20 @@ def _reader(g: Graph, dim: int, field: bool) -> Callable[[str], tuple[str, str, 
     slopes, intercepts = g.Transpose("slopes", perm=[0, 2, 1]), g.Unsqueeze("intercepts", [1])
 
     def reading(points: str) -> tuple[str, str, str]:
+        along = g.Abs(g.MatMul(g.Sub(points, centre), axes))
+        wall = g.Tanh(g.Mul(g.ReduceMin(g.Sub(half, along), [2], keepdims=1), 2.0))
+        if not field:
+            nothing = g.Mul(points, 0.0)
+            return g.Slice(nothing, [0], [1], [2]), nothing, wall
         odds = g.Add(g.MatMul(points, slopes), intercepts)
         top = g.ReduceMax(odds, [2], keepdims=1)
         against = g.Add(top, g.Log(g.ReduceSum(g.Exp(g.Sub(odds, top)), [2], keepdims=1)))
         shares = g.Mul(g.Exp(g.Sub(odds, against)), g.Sigmoid(against))
-        along = g.Abs(g.MatMul(g.Sub(points, centre), axes))
-        wall = g.ReduceMin(g.Sub(half, along), [2], keepdims=1)
-        seen = (
+        return (
             g.Sub(g.Log(g.Add(g.Softplus(against), 1.0)), 1.0),
             g.Mul(g.Asinh(g.MatMul(shares, "slopes")), 0.5),
+            wall,
         )
-        if not field:
-            seen = [g.Mul(x, 0.0) for x in seen]
-        return (*seen, g.Tanh(g.Mul(wall, 2.0)))
 
     return reading
 

@@ -32,7 +32,8 @@ def bezier_trajectories(controls: Array, num_points: int) -> Array:
     """`(N, num_points, D)` at equal steps of arc length, of curves `controls (N, 4, D)` [m].
 
     The arc length is tabulated at equal steps of the parameter and the parameter read off it; the
-    points themselves lie on the curve, the first and last exactly on its ends.
+    points themselves lie on the curve, the first and last exactly on its ends. In memory the
+    coordinates come first, so the array is not C-contiguous.
     """
     table = bezier_points(controls, _QUADRATURE_POINTS)
     steps = np.diff(table, axis=-2)

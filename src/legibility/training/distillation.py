@@ -49,6 +49,10 @@ class DistillationConfig(PathTrainingConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.dropout:
+            raise InvalidInputError(
+                f"dropout must be 0, as a student never is without conditions, got {self.dropout}"
+            )
         count("sampling_steps", self.sampling_steps)
         count("pairs", self.pairs)
         if bounded("ends", self.ends, 0, 1) == 1:
@@ -123,6 +127,7 @@ def distill_path(
     config: DistillationConfig | None = None,
     *,
     device: str | None = None,
+    precision: str | None = None,
     progress: Progress = lambda step, steps, figures: None,
     drawn: Callable[[int, int], None] = lambda done, total: None,
 ) -> PathDiffuser:
@@ -132,9 +137,11 @@ def distill_path(
         teacher: a trained stage 1.
         data: of the teacher's labels; the student learns in its scenes.
         validation: of another seed stream; its scenes measure the dial while training.
-        folder: of the checkpoint and the log; an interrupted run goes on from there.
+        folder: of the checkpoint and the log; an interrupted run goes on from there, once the
+            teacher has drawn again.
         config: how to train.
         device: where to; a GPU where there is one.
+        precision: no (float32), bf16 or fp16, see `Team.join`.
         progress: see `train`.
         drawn: called with the scenes that the teacher has drawn for, and all of them.
 
@@ -148,14 +155,18 @@ def distill_path(
             f"got {config.sampling_steps}"
         )
     check_data(teacher.config, data, validation)
-    team = Team.join(device)
+    team = Team.join(device, precision)
     settings = replace(teacher.config, sampling_steps=config.sampling_steps, guidance=0.0)
     student = PathDiffuser(settings).to(team.device)
     student.load_state_dict(teacher.state_dict())
-    for unused in (student.no_field, student.no_level):  # it is never without conditions
-        unused.requires_grad_(False)
+    student.no_level.requires_grad_(False)  # it is never without conditions
+    student.no_field.requires_grad_(not settings.field)
     batches = DistillationBatches(data, student, config, team)
-    batches.draw(teacher.to(team.device), drawn if team.main else lambda done, total: None)
+    before = teacher.spread.device
+    try:
+        batches.draw(teacher.to(team.device), drawn if team.main else lambda done, total: None)
+    finally:
+        teacher.to(before)
     checks = PathBatches(validation, student, config, team)
     identity = {"model": settings.to_dict(), "data": data.digest, "teacher": _digest(teacher)}
     trained = train(
@@ -168,7 +179,6 @@ def distill_path(
         team=team,
         progress=progress,
     )
-    teacher.to("cpu")
     return trained.to("cpu")
 
 

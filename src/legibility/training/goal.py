@@ -21,6 +21,7 @@ from ..execution import Fleet, Rollout, follow
 from ..models.goal_policy import GoalPolicy, GoalPolicyConfig, goal_features
 from .loop import Progress
 from .policy import PolicyTrainingConfig, fit, moments
+from .team import Team
 
 __all__ = ["GUIDANCE", "train_goal", "tune_guidance", "validate_goal"]
 
@@ -41,6 +42,7 @@ def train_goal(
     config: PolicyTrainingConfig | None = None,
     *,
     device: str | None = None,
+    precision: str | None = None,
     progress: Progress = lambda step, steps, figures: None,
     **settings: Any,
 ) -> GoalPolicy:
@@ -55,6 +57,7 @@ def train_goal(
         folder: of the checkpoint and the log; an interrupted run goes on from there.
         config: how to train.
         device: where to; a GPU where there is one.
+        precision: no (float32), bf16 or fp16, see `Team.join`.
         progress: see `train`.
         **settings: of `GoalPolicyConfig`, but those that the data fixes.
 
@@ -67,7 +70,8 @@ def train_goal(
         torch.manual_seed(config.seed)
         model = GoalPolicy(GoalPolicyConfig(**settings))
     parts = toward_goals(data, model.config.chunk)
-    return fit(model, parts, data, validation, folder, config, validate_goal, device, progress)
+    team = Team.join(device, precision)
+    return fit(model, parts, data, validation, folder, config, validate_goal, team, progress)
 
 
 def toward_goals(data: Demonstrations, chunk: int) -> list[list[Array]]:

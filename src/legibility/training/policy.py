@@ -151,6 +151,7 @@ def train_policy(
     config: PolicyTrainingConfig | None = None,
     *,
     device: str | None = None,
+    precision: str | None = None,
     progress: Progress = lambda step, steps, figures: None,
     **settings: Any,
 ) -> PathPolicy:
@@ -162,6 +163,7 @@ def train_policy(
         folder: of the checkpoint and the log; an interrupted run goes on from there.
         config: how to train.
         device: where to; a GPU where there is one.
+        precision: no (float32), bf16 or fp16, see `Team.join`.
         progress: see `train`.
         **settings: of `PathPolicyConfig`, but those that the data fixes.
 
@@ -174,7 +176,8 @@ def train_policy(
         torch.manual_seed(config.seed)
         model = PathPolicy(PathPolicyConfig(**settings))
     parts = along_paths(data, model.config)
-    return fit(model, parts, data, validation, folder, config, validate_policy, device, progress)
+    team = Team.join(device, precision)
+    return fit(model, parts, data, validation, folder, config, validate_policy, team, progress)
 
 
 P = TypeVar("P", PathPolicy, GoalPolicy)
@@ -188,7 +191,7 @@ def fit(
     folder: str | FilePath,
     config: PolicyTrainingConfig,
     validate: Callable[[P, Dataset], dict[str, float]],
-    device: str | None,
+    team: Team,
     progress: Progress,
 ) -> P:
     """Train a policy on `parts`, guided and unguided, of `data`; see `train_policy`."""
@@ -198,7 +201,6 @@ def fit(
         raise InvalidInputError(
             f"the validation data are {validation.config.dim}-D, the data {model.config.dim}-D"
         )
-    team = Team.join(device)
     batches = PolicyBatches(parts[0], parts[1], config, team)
     model = model.to(team.device)
     model.signal.copy_(noise_schedule(model.config.diffusion_steps))
