@@ -119,6 +119,32 @@ def test_a_run_goes_on_as_if_not_interrupted(teacher, data, tmp_path):
         assert torch.equal(tensor, resumed.state_dict()[name]), name
 
 
+@pytest.mark.parametrize("settings", [{"dim": 3}, {"field": False}, {"guidance": 0.0}])
+def test_any_teacher_and_a_run_in_parts(settings, tmp_path):
+    """A run that was interrupted after a checkpoint ends as one that was not."""
+    torch.manual_seed(0)
+    shape = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
+    model = PathDiffuser(PathDiffuserConfig(**{"sigma": 0.15, **shape, **settings})).eval()
+    model.signal.copy_(noise_schedule(100))
+    torch.nn.init.normal_(model.unet.outlet.weight, std=0.3)
+    config = DatasetConfig(dim=model.config.dim, sigma=0.15, scenes=3, cells=6, per_scene=17)
+    data = generate(config, tmp_path / "data")
+    short = dataclasses.replace(SHORT, steps=4, checkpoint_every=2, sampling_steps=2)
+    whole = distill_path(model, data, data, tmp_path / "whole", short)
+
+    def stop(step, steps, figures):
+        if step == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        distill_path(model, data, data, tmp_path / "parts", short, progress=stop)
+    resumed = distill_path(model, data, data, tmp_path / "parts", short)
+    for name, tensor in whole.state_dict().items():
+        assert torch.equal(tensor, resumed.state_dict()[name]), name
+    trained = not settings.get("field", True)
+    assert torch.equal(whole.no_field, model.no_field) != trained
+
+
 def test_another_teacher_is_another_run(teacher, data, tmp_path):
     short = dataclasses.replace(SHORT, steps=1)
     distill_path(teacher, data, data, tmp_path, short)
@@ -144,6 +170,7 @@ def test_bad_input(teacher, data, tmp_path):
         ({"pairs": 0}, "pairs must be"),
         ({"ends": 1.0}, "ends must"),
         ({"sampling_steps": 0}, "sampling_steps must be"),
+        ({"dropout": 0.1}, "dropout must be 0"),
     ):
         with pytest.raises(InvalidInputError, match=message):
             dataclasses.replace(SHORT, **values)

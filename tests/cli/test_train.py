@@ -59,6 +59,18 @@ def test_validation_data_are_not_validated_on_themselves(cli, refused, capsys):
     assert "give --validation" in refused("train path --data v --out run")
 
 
+def test_precision(dataset, cli, tiny, tmp_path, refused, capsys):
+    words = f"train path --steps 2 {tiny} --precision"
+    paths = ["--data", dataset, "--validation", dataset, "--out", tmp_path / "run"]
+    assert cli(f"{words} bf16", *paths) == 0
+    capsys.readouterr()
+    assert lg.Modulator.from_pretrained(tmp_path / "run/weights").training["path"][
+        "precision"
+    ] == "bf16"  # fmt: skip
+    assert "another run (precision differ)" in refused(f"{words} no", *paths)
+    assert "precision must be one of no, bf16, fp16, got 'f8'" in refused(f"{words} f8", *paths)
+
+
 def test_line_of_a_validation():
     assert _line(50, {"loss": 1.0}) == ""
     assert _line(50, {"loss": 1.0, "validation_error": 0.5}) == "step 50  loss 1.0000  error 0.5000"
@@ -113,6 +125,10 @@ def test_student_beside_its_teachers_policy(run, dataset, cli, tmp_path, refused
         assert (tensor == whole.path_policy.state_dict()[name]).all(), name
     assert found.training["policy"] == whole.training["policy"]
     capsys.readouterr()
+    own = ["--weights", tmp_path / "whole"]
+    assert "must not be the teacher's own folder" in refused(
+        words, tmp_path / "whole", *paths, *own
+    )
     assert "has no stage 1" in refused(words, "diffusion-policy-2d", *paths)
 
 

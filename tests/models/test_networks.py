@@ -90,7 +90,7 @@ def test_activation_in_training_is_that_of_pytorch(modulated, mean):
 
 def test_a_batch_of_one_leaves_the_weights_alone():
     torch.manual_seed(0)
-    net, x = FiLMUNet(6, 2, (8, 8, 8, 8), condition=5), torch.randn(1, 8, 6)
+    net, x = FiLMUNet(6, 2, (16, 16, 16, 16), condition=5), torch.randn(1, 8, 6)
     torch.nn.init.normal_(net.outlet.weight)
     before = {name: value.clone() for name, value in net.state_dict().items()}
     condition = torch.randn(1, 5)
