@@ -24,6 +24,8 @@ WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
 DEPTH = 16
 """Depth slices of an image in 3D."""
 
+_FEW = 4
+
 FIELD_CHANNELS = 3
 """Images of a slice: the posterior, the potential, the workspace."""
 
@@ -92,7 +94,11 @@ def scene_image(
     frame, grid = Frame.of(scene, target), _grid(scene.dim, resolution)
     # What is linear in the points is exact; the rest, drawn in float32, is as exact as the image.
     slopes, intercepts = _odds(scene, target, field)
-    odds = (slopes @ grid + intercepts[:, None]).astype(np.float32)
+    # A few distractors at a time: NumPy would share a larger product among threads, which then wait
+    # for more and hold up those of PyTorch.
+    odds = np.empty((len(slopes), grid.shape[1]), dtype=np.float32)
+    for i in range(0, len(slopes), _FEW):
+        odds[i : i + _FEW] = slopes[i : i + _FEW] @ grid + intercepts[i : i + _FEW, None]
     against = odds.max(axis=0)
     against += np.log(np.exp(odds - against).sum(axis=0))
     potential = np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))
