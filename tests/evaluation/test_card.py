@@ -198,10 +198,12 @@ class TestDistilled:
         text = distilled_section(found)
         rows = cells(text)
         assert [row[0] for row in rows] == ["weights", "---", "m", "m-fast"] * 2
-        assert rows[0][1:] == [FIGURES[name].text for name in (
-            "spearman", "error", "error_candidates", "at_1", "at_-1", "beyond_archive",
-            "drawn_inside", "spread",
-        )]  # fmt: skip
+        names = ("spearman", "error", "error_candidates", "at_1", "at_-1", "beyond_archive")
+        assert rows[0][1:] == [
+            *(FIGURES[name].text for name in names),
+            "share of curves that are drawn inside the workspace",
+            FIGURES["spread"].text,
+        ]
         assert rows[3][2] == "0.2500 (0.2400 to 0.2600)"
         assert rows[2][2] != rows[3][2]
         assert "(3 with 2 to 6 goals; seed 7)" in " ".join(text.split())

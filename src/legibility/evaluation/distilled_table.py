@@ -21,6 +21,9 @@ _PLANNED = (
 
 _EXECUTED = ("spearman", "error", "success")
 
+_HEADS = {"drawn_inside": "share of curves that are drawn inside the workspace"}
+"""What those are called here whose text needs the row above it."""
+
 Documents = dict[str, dict[str, dict[str, Any]]]
 
 
@@ -67,7 +70,7 @@ scenes with 95 % intervals. All of it, and the commands, are in the model cards.
 
 def _table(pairs: list[tuple[str, dict[str, Any]]], names: tuple[str, ...]) -> str:
     names = tuple(n for n in names if all(n in d["result"]["overall"] for _, d in pairs))
-    head = ["weights", *(FIGURES[name].text for name in names)]
+    head = ["weights", *(_HEADS.get(name, FIGURES[name].text) for name in names)]
     lines = [head, ["---"] * len(head)]
     for weights, document in pairs:
         overall = document["result"]["overall"]
