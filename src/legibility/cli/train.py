@@ -22,6 +22,7 @@ from ..models.path_diffuser import PathDiffuserConfig
 from ..models.path_policy import PathPolicyConfig
 from ..models.pretrained import load_stages, pretrained_folder, save_stage
 from ..training import (
+    FIXED_BY_DATA,
     LOG,
     DistillationConfig,
     PathTrainingConfig,
@@ -47,7 +48,7 @@ from .output import (
 )
 
 _PathTraining = flags(PathTrainingConfig)
-_PathModel = flags(PathDiffuserConfig, "dim", "sigma", "alpha", "label")  # the data fixes these
+_PathModel = flags(PathDiffuserConfig, *FIXED_BY_DATA)
 _Distillation = flags(DistillationConfig, "dropout")
 _PolicyTraining = flags(PolicyTrainingConfig)
 _PolicyModel = flags(PathPolicyConfig, "dim", "limit")
@@ -87,10 +88,7 @@ def path(
     check_file(json, "JSON file")
     dataset = Dataset.load(data)
     weights = weights or out / "weights"
-    check_folder(out, "checkpoint")
-    check_folder(weights, "weights")
-    team = Team.join(**vars(where))
-    checks = _validation(dataset.config, validation, out, workers, team)
+    team, checks = _ready(dataset.config, validation, out, weights, workers, where)
     facts = {"data": dataset.config.to_dict(), "digest": dataset.digest}
 
     def run(progress: Callable[..., None]) -> nn.Module:
@@ -140,20 +138,15 @@ def distill(
     weights = weights or out / "weights"
     if weights.resolve() == folder.resolve():
         raise InvalidInputError(f"weights must not be the teacher's own folder, got {weights}")
-    check_folder(out, "checkpoint")
-    check_folder(weights, "weights")
-    team = Team.join(**vars(where))
-    checks = _validation(dataset.config, validation, out, workers, team)
+    team, checks = _ready(dataset.config, validation, out, weights, workers, where)
     facts = {
         "data": dataset.config.to_dict(),
         "digest": dataset.digest,
         "teacher": {
             "sha256": file_hash(folder / "path.safetensors"),
             "training": made_by["path"],
-            **{
-                name: getattr(stages["path"].config, name)
-                for name in ("sampling_steps", "guidance")
-            },
+            "sampling_steps": stages["path"].config.sampling_steps,
+            "guidance": stages["path"].config.guidance,
         },
     }
 
@@ -292,10 +285,7 @@ def _train_on_demonstrations(
     check_file(json, "JSON file")
     demonstrations = Demonstrations.load(data)
     weights = weights or out / "weights"
-    check_folder(out, "checkpoint")
-    check_folder(weights, "weights")
-    team = Team.join(**vars(where))
-    checks = _validation(demonstrations.dataset, validation, out, workers, team)
+    team, checks = _ready(demonstrations.dataset, validation, out, weights, workers, where)
     facts = {
         "data": demonstrations.dataset.to_dict(),
         "demonstrations": {**asdict(demonstrations.config), "number": len(demonstrations)},
@@ -381,20 +371,31 @@ def _step_seconds(log: list[dict[str, float]]) -> float:
     return float(np.quantile(seconds / steps, 0.1))
 
 
-def _validation(
-    config: DatasetConfig, folder: Path | None, out: Path, workers: Workers, team: Team
-) -> Dataset:
-    """The dataset that a stage is measured on while training, made like the data if not given."""
+def _ready(
+    config: DatasetConfig,
+    folder: Path | None,
+    out: Path,
+    weights: Path,
+    workers: Workers,
+    where: Where,
+) -> tuple[Team, Dataset]:
+    """The team that trains, once its folders can be written, and its validation data.
+
+    They are those of `folder`, or made like the data of `config` if it is not given.
+    """
+    check_folder(out, "checkpoint")
+    check_folder(weights, "weights")
+    team = Team.join(**vars(where))
     if folder is not None:
-        return Dataset.load(folder)
+        return team, Dataset.load(folder)
     if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
     config = config.for_validation()
     with team.main_first():
         if not team.main:
-            return Dataset.load(out / "validation")
+            return team, Dataset.load(out / "validation")
         with progress_bar("shards for validation") as progress:
-            return generate(config, out / "validation", **vars(workers), progress=progress)
+            return team, generate(config, out / "validation", **vars(workers), progress=progress)
 
 
 def _line(step: int, figures: dict[str, float]) -> str:

@@ -16,7 +16,13 @@ from ..models.path_diffuser import PathDiffuserConfig
 from ..models.pretrained import pretrained_folder, save_stage
 from ..modulator import Modulator
 from ..shards import SHARD
-from ..training import PathTrainingConfig, choose_device, train_path
+from ..training import (
+    FIXED_BY_DATA,
+    PathTrainingConfig,
+    check_data,
+    choose_device,
+    train_path,
+)
 from .dial import DialConfig, evaluate_dial
 
 __all__ = ["COLUMNS", "AblationsConfig", "Variant", "evaluate_ablations", "variants"]
@@ -29,8 +35,6 @@ COLUMNS = {
     "length_ratio_at_0": "length when asked 0",
 }
 """Headings of the dial's figures that a table of the rows shows."""
-
-_FIXED_BY_DATA = ("dim", "sigma", "alpha", "label")
 
 
 @dataclass(frozen=True)
@@ -155,7 +159,7 @@ def evaluate_ablations(
             "otherwise"
         )
     rows = variants(config, modulator.config)
-    _check(data.config, modulator.config)
+    _check(data, modulator.config)
     choose_device(device)  # refused before anything is made
     parts = {number: data.first(number) for number in {v.scenes for v in rows.values()} if number}
 
@@ -206,18 +210,11 @@ def evaluate_ablations(
     return {"rows": result, "data": data.digest}
 
 
-def _check(data: DatasetConfig, model: PathDiffuserConfig) -> None:
-    wanted = {"stream": "train", "label": "anchored"}
-    for name, value in wanted.items():
-        if getattr(data, name) != value:
-            raise InvalidInputError(
-                f"the data must have {name} {value}, theirs is {getattr(data, name)}"
-            )
-    for name in _FIXED_BY_DATA:
-        if getattr(data, name) != getattr(model, name):
-            raise InvalidInputError(
-                f"the data have {name} {getattr(data, name)}, the model {getattr(model, name)}"
-            )
+def _check(data: Dataset, model: PathDiffuserConfig) -> None:
+    for name, value in {"stream": "train", "label": "anchored"}.items():
+        if (found := getattr(data.config, name)) != value:
+            raise InvalidInputError(f"the data must have {name} {value}, theirs is {found}")
+    check_data(model, data, data)
 
 
 def _trained(
@@ -230,7 +227,7 @@ def _trained(
     progress: Callable[..., None],
 ) -> Path:
     """Train a small run in `folder`, or go on with it; the folder of its weights."""
-    settings = {k: v for k, v in vars(network).items() if k not in _FIXED_BY_DATA}
+    settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
     trained = train_path(
         data, validation, folder, training, device=device, progress=progress, **settings
     )

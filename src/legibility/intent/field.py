@@ -135,6 +135,6 @@ class InformationPotentialField:
         return self.potential(points, target)
 
 
-@functools.lru_cache(maxsize=64)  # a plan asks for it four times
+@functools.lru_cache(maxsize=64)  # each part of a plan asks for it
 def _of(scene: Scene, sigma: float) -> InformationPotentialField:
     return InformationPotentialField(scene.goals, sigma)

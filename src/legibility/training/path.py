@@ -23,6 +23,7 @@ from .loop import Progress, TrainingConfig, train
 from .team import Team
 
 __all__ = [
+    "FIXED_BY_DATA",
     "FrameScorer",
     "PathBatches",
     "PathTrainingConfig",
@@ -30,6 +31,9 @@ __all__ = [
     "train_path",
     "validate_dial",
 ]
+
+FIXED_BY_DATA = ("dim", "sigma", "alpha", "label")
+"""Settings of stage 1 that its data fix."""
 
 _LEAST_COST = 1e-30
 
@@ -213,7 +217,7 @@ def train_path(
         The trained model, on the CPU.
     """
     config = config or PathTrainingConfig()
-    settings |= {name: getattr(data.config, name) for name in ("dim", "sigma", "alpha", "label")}
+    settings |= {name: getattr(data.config, name) for name in FIXED_BY_DATA}
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         model = PathDiffuser(PathDiffuserConfig(**settings))
@@ -246,7 +250,7 @@ def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -
     """
     if "evaluation" in (data.config.stream, validation.config.stream):
         raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
-    for name in ("dim", "sigma", "alpha", "label"):
+    for name in FIXED_BY_DATA:
         value = getattr(config, name)
         for what, found in (("data", data), ("validation data", validation)):
             if getattr(found.config, name) != value:

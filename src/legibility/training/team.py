@@ -94,10 +94,11 @@ class Team:
 
     @contextmanager
     def products(self) -> Iterator[None]:
-        """A context in which products of float32 on a CPU are made by the quicker library.
+        """A context in which products of float32 on a CPU are made by oneDNN.
 
-        PyTorch leaves them to MKL, which on some processors needs twice the time of oneDNN. What
-        makes PyTorch ask oneDNN permits bfloat16 besides, and where that would be used MKL is kept.
+        PyTorch leaves them to MKL, which on some processors is the slower one. What makes it ask
+        oneDNN permits bfloat16 besides, and where that would be used MKL is kept. Which is quicker
+        here is not asked, so that a run rounds as it did before it was interrupted.
         """
         before = torch.get_float32_matmul_precision()
         if self.device.type == "cpu" and _exact("medium"):
