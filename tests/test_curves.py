@@ -157,3 +157,34 @@ def test_farthest_point_is_farther_than_all_others(seed, dim):
     np.testing.assert_array_equal(
         curves.distance_to_segment(farthest, start, end), distance.max(-1)
     )
+
+
+def test_a_line_does_not_turn_and_a_circle_turns_all_the_way():
+    along = np.linspace(0, 1, 200)[:, None]
+    assert curves.turning(along * [[3.0, 1.0, -2.0]]) == pytest.approx(0, abs=1e-6)
+    angle = 2 * np.pi * along
+    circle = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    assert curves.turning(circle) == pytest.approx(2 * np.pi * 198 / 199)
+    there_and_back = np.concatenate([circle[:100], circle[:99][::-1]])
+    assert curves.turning(there_and_back) == pytest.approx(2 * 98 * 2 * np.pi / 199 + np.pi)
+
+
+@given(seeds, st.integers(2, 30), dims, st.floats(0.1, 10))
+def test_turning_is_of_the_shape(seed, size, dim, scale):
+    rng = np.random.default_rng(seed)
+    points = polyline(seed, size, dim)
+    found = curves.turning(points)
+    assert 0 <= found <= np.pi * (size - 2) + 1e-9
+    axes = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
+    moved = scale * points @ axes + rng.normal(size=dim)
+    for same in (moved, points[::-1], refine(points, rng, 20)):
+        assert curves.turning(same) == pytest.approx(found, abs=1e-4)
+    stacked = curves.turning(np.stack([points, points[::-1]]))
+    np.testing.assert_allclose(stacked, found, atol=1e-9)
+
+
+def test_standing_still_is_not_turning():
+    assert curves.turning(np.zeros((5, 2))) == 0
+    corner = np.array([[0.0, 0], [1, 0], [1, 1]])
+    assert curves.turning(corner) == pytest.approx(np.pi / 2)
+    assert curves.turning(corner[[0, 0, 1, 2, 2]]) == pytest.approx(np.pi / 2)

@@ -55,7 +55,7 @@ def distance(model, batches):
 
 def drawn(teacher, data, config=SHORT):
     batches = DistillationBatches(data, teacher, config, Team(torch.device("cpu")))
-    batches.draw(teacher)
+    batches.draw()
     return batches
 
 
@@ -90,7 +90,18 @@ def test_a_student_learns_what_its_teacher_draws(teacher, data, tmp_path, steps)
     untrained.load_state_dict(teacher.state_dict())
     assert distance(student, batches) < 0.7 * distance(untrained, batches)
     found = [json.loads(line) for line in (tmp_path / LOG).read_text().splitlines()]
-    assert {"loss", "path", "label", "wall", "validation_error"} <= found[-1].keys()
+    assert {"loss", "path", "label", "wall", "jerk", "validation_error"} <= found[-1].keys()
+
+
+def test_a_finished_run_draws_nothing(teacher, data, tmp_path):
+    short = dataclasses.replace(SHORT, steps=2)
+    seen = []
+    first, again = (
+        distill_path(teacher, data, data, tmp_path, short, drawn=lambda *at: seen.append(at))
+        for _ in range(2)
+    )
+    assert seen.count((4, 4)) == 1
+    assert torch.equal(first.level.weight, again.level.weight)
 
 
 def test_the_label_alone_can_be_learned(teacher, data, tmp_path):
@@ -101,6 +112,27 @@ def test_the_label_alone_can_be_learned(teacher, data, tmp_path):
         if distill_path(teacher, data, data, folder, own)
     )
     assert after < 0.5 * before
+
+
+def jerk_of(folder):
+    return [json.loads(line) for line in (folder / LOG).read_text().splitlines()][-1]["jerk"]
+
+
+def test_paths_without_the_teachers_jerk_can_be_learned(teacher, data, tmp_path):
+    for weight in (0.0, 10.0):
+        config = dataclasses.replace(SHORT, score_weight=100.0, jerk_weight=weight)
+        distill_path(teacher, data, data, tmp_path / str(weight), config)
+    assert jerk_of(tmp_path / "10.0") < 0.5 * jerk_of(tmp_path / "0.0")
+
+
+def test_a_path_with_its_teachers_jerk_costs_nothing(teacher, data):
+    alone = dataclasses.replace(teacher.config, sampling_steps=1, guidance=0.0)
+    unguided = PathDiffuser(alone).eval()
+    unguided.load_state_dict(teacher.state_dict())
+    batches = drawn(unguided, data)
+    _, parts = batches.loss(unguided, torch.Generator().manual_seed(0))
+    assert float(parts["path"]) < 1e-8
+    assert float(parts["jerk"]) < 1e-4
 
 
 def test_a_run_goes_on_as_if_not_interrupted(teacher, data, tmp_path):
@@ -171,6 +203,7 @@ def test_bad_input(teacher, data, tmp_path):
         ({"ends": 1.0}, "ends must"),
         ({"sampling_steps": 0}, "sampling_steps must be"),
         ({"dropout": 0.1}, "dropout must be 0"),
+        ({"jerk_weight": -0.1}, "jerk_weight must"),
     ):
         with pytest.raises(InvalidInputError, match=message):
             dataclasses.replace(SHORT, **values)

@@ -203,6 +203,7 @@ class TestDistilled:
             *(FIGURES[name].text for name in names),
             "share of curves that are drawn inside the workspace",
             FIGURES["spread"].text,
+            FIGURES["turning"].text,
         ]
         assert rows[3][2] == "0.2500 (0.2400 to 0.2600)"
         assert rows[2][2] != rows[3][2]

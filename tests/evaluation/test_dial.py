@@ -139,6 +139,7 @@ class TestMeasuresWhatItSays:
         assert means["wrong_order"] == 0
         assert means["spread"] == 0
         assert means["length_ratio_at_0"] == pytest.approx(1, abs=0.02)
+        assert 1 < means["turning"] < 6
 
     def test_a_perfect_dial_in_3d(self):
         found = evaluate_dial(
@@ -177,6 +178,7 @@ class TestMeasuresWhatItSays:
         assert means["at_1"] == pytest.approx(0, abs=0.02)
         assert means["length_ratio_at_0"] == pytest.approx(1, abs=1e-3)
         assert means["beyond_archive"] == 0
+        assert means["turning"] == pytest.approx(0, abs=1e-3)
         assert means["wrong_order"] == 1
 
     def test_one_that_is_off_by_a_tenth(self):
@@ -354,7 +356,11 @@ class TestClosedLoop:
 
     def test_of_motions_that_follow_their_paths_it_is_the_dial_of_plans(self, executed, shipped):
         closed, found = executed(), evaluate_dial(shipped, SMALL)
-        assert set(closed["overall"]) == set(FIGURES) - {"error_candidates", "drawn_inside"}
+        assert set(closed["overall"]) == set(FIGURES) - {
+            "error_candidates",
+            "drawn_inside",
+            "turning",
+        }
         for name in ("spearman", "error", "at_1", "at_0", "at_-1", "length_ratio_at_0"):
             for one, other in zip(closed["scenes"], found["scenes"], strict=True):
                 assert one[name] == pytest.approx(other[name], abs=0.02)

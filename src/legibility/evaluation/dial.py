@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..checks import Array, count
-from ..curves import arc_length
+from ..curves import arc_length, turning
 from ..dataset import DatasetConfig
 from ..envs import vector_type
 from ..errors import InvalidInputError
@@ -45,12 +45,13 @@ FIGURES = {
     "beyond_archive": Figure(
         "share of paths asked for ±1 that are beyond the archive's best", None
     ),
+    "turning": Figure("angle that paths asked for ±1 turn through [rad]", None),
     "wrong_order": Figure("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
     "spread": Figure("standard deviation of the achieved ℓ among samples of a level", None),
     "success": Figure("share of rollouts that reached the target", np.inf),
     "deviation": Figure("mean distance from the planned curve over its length", -np.inf),
 }
-"""What is measured of each scene; the last two of executed motions only."""
+"""What is measured of each scene; the last two of executed motions only, some of plans only."""
 
 
 def worst(name: str, figures: dict[str, float]) -> float | None:
@@ -176,7 +177,11 @@ def _measure(
         score, curves, figures = _executed(modulator, path, seed, config.env)
     else:
         score, curves = path.score, path.trajectory(200)
-        figures = {"drawn_inside": float(1 - np.mean(path.clipped))}
+        ends = np.abs(asked) == 1
+        figures = {
+            "drawn_inside": float(1 - np.mean(path.clipped)),
+            "turning": float(turning(curves[ends]).mean()),
+        }
         if config.candidates:
             # Chosen by an archive of the modulator's own, as a user's are; judged by this one.
             nearest = modulator.plan(

@@ -15,7 +15,7 @@ SUFFIX = "-fast"
 
 _PLANNED = (
     "spearman", "error", "error_candidates", "at_1", "at_-1", "beyond_archive", "drawn_inside",
-    "spread",
+    "spread", "turning",
 )  # fmt: skip
 """Figures that are shown, of `FIGURES`."""
 

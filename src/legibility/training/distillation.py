@@ -3,6 +3,7 @@
 Guidance and steps of the teacher are distilled at once (Luhman & Luhman 2021; Meng et al. 2023):
 from the same noise the student is to end where the teacher ends. As its path is known after the one
 step, the label that the path achieves is a loss as well, so that the dial may be the more exact.
+That alone would have it gain the last of ±1 by waves, so that jerk beyond the teacher's costs too.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from .team import Team
 __all__ = ["DistillationBatches", "DistillationConfig", "distill_path"]
 
 _AT_ONCE = 16  # scenes that the teacher draws for
+_SMOOTH = 0.01  # jerk far below this is not seen
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class DistillationConfig(PathTrainingConfig):
         sampling_steps: of the student.
         pairs: of noise and path that the teacher draws in each scene, ℓ evenly over the dial.
         ends: share of them at ℓ = ±1.
+        jerk_weight: weight of the loss on what the paths have more of jerk than the teacher's.
     """
 
     steps: int = 4000
@@ -46,6 +49,7 @@ class DistillationConfig(PathTrainingConfig):
     sampling_steps: int = 1
     pairs: int = 32
     ends: float = 0.2
+    jerk_weight: float = 0.02
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,6 +59,7 @@ class DistillationConfig(PathTrainingConfig):
             )
         count("sampling_steps", self.sampling_steps)
         count("pairs", self.pairs)
+        bounded("jerk_weight", self.jerk_weight, 0)
         if bounded("ends", self.ends, 0, 1) == 1:
             raise InvalidInputError(f"ends must lie in [0, 1), got {self.ends}")
 
@@ -64,41 +69,58 @@ class DistillationBatches(PathBatches):
 
     config: DistillationConfig
 
-    def draw(
+    def __init__(
         self,
+        data: Dataset,
         teacher: PathDiffuser,
+        config: DistillationConfig,
+        team: Team,
         drawn: Callable[[int, int], None] = lambda done, total: None,
     ) -> None:
-        """Let the `teacher` draw the pairs that the student learns."""
-        num, pairs = len(self.labels), self.config.pairs
+        super().__init__(data, teacher, config, team)
+        self.teacher = teacher
+        self.drawn = drawn
+        self.noise: Tensor | None = None
+
+    def draw(self) -> Tensor:
+        """Let the teacher draw the pairs that the student learns; their noise `(B, N, K, D)`."""
+        num, pairs, device = len(self.labels), self.config.pairs, self.team.device
         generator = torch.Generator().manual_seed(self.config.seed)
         shape = (num, pairs, *self.waypoints.shape[2:])
         spread = (torch.arange(pairs) + torch.rand(num, pairs, generator=generator)) / pairs
         levels = ((2 * spread - 1) / (1 - self.config.ends)).clamp(-1, 1)
-        self.labels = levels.to(self.team.device)
-        self.noise = torch.randn(shape, generator=generator).to(self.team.device)
-        self.waypoints = torch.empty(shape, device=self.team.device)
-        for first in range(0, num, _AT_ONCE):
-            drawn(first, num)
-            rows = slice(first, first + _AT_ONCE)
-            scenes = torch.arange(num)[rows].repeat_interleave(pairs).to(self.team.device)
-            self.waypoints[rows] = teacher.sample(
-                self.conditions.map(lambda x, scenes=scenes: x[scenes]),
-                self.labels[rows].flatten(),
-                self.noise[rows].flatten(0, 1),
-            ).unflatten(0, (-1, pairs))
-        drawn(num, num)
+        self.labels = levels.to(device)
+        noise = torch.randn(shape, generator=generator).to(device)
+        self.waypoints = torch.empty(shape, device=device)
+        before = self.teacher.spread.device
+        self.teacher.to(device)
+        try:
+            for first in range(0, num, _AT_ONCE):
+                self.drawn(first, num)
+                rows = slice(first, first + _AT_ONCE)
+                scenes = torch.arange(num)[rows].repeat_interleave(pairs).to(device)
+                self.waypoints[rows] = self.teacher.sample(
+                    self.conditions.map(lambda x, scenes=scenes: x[scenes]),
+                    self.labels[rows].flatten(),
+                    noise[rows].flatten(0, 1),
+                ).unflatten(0, (-1, pairs))
+        finally:
+            self.teacher.to(before)
+        self.drawn(num, num)
+        self.noise = noise
+        return noise
 
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared distance from the teacher's paths; the achieved label and walls besides."""
+        """Squared distance from the teacher's paths; the achieved label, walls and jerk besides."""
+        pairs = self.draw() if self.noise is None else self.noise
         config, per = self.config, self.config.per_scene
         scenes = torch.randint(len(self.labels), (config.scenes,), generator=generator)
         chosen = torch.randint(self.labels.shape[1], (config.scenes, per), generator=generator)
         scenes, chosen = (self.team.share(x).to(self.team.device) for x in (scenes, chosen))
         each, chosen = scenes.repeat_interleave(per), chosen.flatten()
-        level, noise = self.labels[each, chosen], self.noise[each, chosen]
+        level, noise = self.labels[each, chosen], pairs[each, chosen]
         conditions = self.conditions.without_image().map(lambda x: x[each])
         times = sampling_timesteps(len(model.signal), config.sampling_steps)
         with self.team.autocast():
@@ -106,17 +128,23 @@ class DistillationBatches(PathBatches):
             context = model.encode(scene.repeat_interleave(per, 0), level)[None]
             found = model.denoise(conditions, context, noise, times)
         found = found.float()
-        wanted = model.to_latent(self.waypoints[each, chosen])
-        path_loss = F.mse_loss(model.to_latent(found), wanted)
+        taught = self.waypoints[each, chosen]
+        path_loss = F.mse_loss(model.to_latent(found), model.to_latent(taught))
         points = self.scorer.curve(found)
         achieved = self.scorer.label(conditions, each, points)
         # Labels end at ±1, the scores beyond do not: there only what falls short is wrong.
         beyond = (level.abs() == 1) & (achieved * level > 1)
         label_loss = F.smooth_l1_loss(torch.where(beyond, level, achieved), level, beta=0.1)
         wall_loss = F.relu(-conditions.wall_distance(points)).mean()
+        jerk_loss = F.relu((self._jerk(found) / self._jerk(taught)).log()).mean()
         total = path_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
-        parts = {"path": path_loss, "label": label_loss, "wall": wall_loss}
+        total = total + config.jerk_weight * jerk_loss
+        parts = {"path": path_loss, "label": label_loss, "wall": wall_loss, "jerk": jerk_loss}
         return total, {name: part.detach() for name, part in parts.items()}
+
+    def _jerk(self, waypoints: Tensor) -> Tensor:
+        """`(B,)`: squared third differences along paths of waypoints `(B, K, D)`, in the frame."""
+        return self.scorer.path(waypoints).diff(n=3, dim=1).square().sum((1, 2)) + _SMOOTH
 
 
 def distill_path(
@@ -161,12 +189,9 @@ def distill_path(
     student.load_state_dict(teacher.state_dict())
     student.no_level.requires_grad_(False)  # it is never without conditions
     student.no_field.requires_grad_(not settings.field)
-    batches = DistillationBatches(data, student, config, team)
-    before = teacher.spread.device
-    try:
-        batches.draw(teacher.to(team.device), drawn if team.main else lambda done, total: None)
-    finally:
-        teacher.to(before)
+    batches = DistillationBatches(
+        data, teacher, config, team, drawn if team.main else lambda done, total: None
+    )
     checks = PathBatches(validation, student, config, team)
     identity = {"model": settings.to_dict(), "data": data.digest, "teacher": _digest(teacher)}
     trained = train(

@@ -156,10 +156,14 @@ class FrameScorer:
         self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, SCORE_POINTS))
         self.ends = tensor(np.eye(2, data.config.dim, k=-1))
 
+    def path(self, waypoints: Tensor) -> Tensor:
+        """Waypoints `(B, K, D)` in the start–target frame with start and goal, `(B, K + 2, D)`."""
+        ends = self.ends.expand(len(waypoints), -1, -1)
+        return torch.cat([ends[:, :1], waypoints, ends[:, 1:]], dim=1)
+
     def curve(self, waypoints: Tensor) -> Tensor:
         """The curve `(B, T, D)` through waypoints `(B, K, D)` in the start–target frame."""
-        ends = self.ends.expand(len(waypoints), -1, -1)
-        return self.spline @ torch.cat([ends[:, :1], waypoints, ends[:, 1:]], dim=1)
+        return self.spline @ self.path(waypoints)
 
     def score(self, conditions: Conditions, points: Tensor) -> Tensor:
         """`(B,)` of curves `(B, T, D)` in the start–target frames of `B` scenes."""
