@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json as json_format
+import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,6 +47,38 @@ from .output import (
     write_report,
 )
 
+
+@dataclass(frozen=True)
+class Files:
+    """What a training reads and writes.
+
+    Attributes:
+        data: folder of the dataset, made by `legibility data`; a policy needs its demonstrations.
+        out: folder of the log, the checkpoint and the weights.
+        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
+        weights: where the weights are saved, beside those of another stage if they are there;
+            OUT/weights if not given.
+        json: the settings and the last validation as JSON.
+    """
+
+    data: Annotated[Path, arg(metavar="DIR")]
+    out: Annotated[Path, arg(metavar="DIR")]
+    validation: Folder = None
+    weights: Folder = None
+    json: OutputFile = None
+
+    @property
+    def saved(self) -> Path:
+        """Where the weights are saved."""
+        return self.weights or self.out / "weights"
+
+    @property
+    def log(self) -> list[dict[str, float]]:
+        """The rows of the log."""
+        text = (self.out / LOG).read_text(encoding="utf-8")
+        return [json.loads(row) for row in text.splitlines()]
+
+
 _PathTraining = flags(PathTrainingConfig)
 _PathModel = flags(PathDiffuserConfig, *FIXED_BY_DATA)
 _Distillation = flags(DistillationConfig, "dropout")
@@ -58,15 +90,11 @@ _LegibilityDiffuserTraining = flags(PolicyTrainingConfig, dropout=0.2)
 
 
 def path(
+    files: Files,
     training: Annotated[Any, arg(constructor=_PathTraining)],
     model: Annotated[Any, arg(constructor=_PathModel)],
     workers: Workers,
     where: Where,
-    data: Annotated[Path, arg(metavar="DIR")],
-    out: Annotated[Path, arg(metavar="DIR")],
-    validation: Folder = None,
-    weights: Folder = None,
-    json: OutputFile = None,
 ) -> None:
     """Train stage 1, the path diffuser, and save its weights to OUT/weights.
 
@@ -74,42 +102,33 @@ def path(
     OUT/tensorboard too. Interrupted, the same command resumes from the last checkpoint.
 
     Args:
+        files: what is read and written.
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
         where: where it is trained.
-        data: folder of the dataset, made by `legibility data`.
-        out: folder of the log, the checkpoint and the weights.
-        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        weights: where the weights are saved; OUT/weights if not given.
-        json: the settings and the last validation as JSON.
     """
     settings = made(PathTrainingConfig, training)
-    check_file(json, "JSON file")
-    dataset = Dataset.load(data)
-    weights = weights or out / "weights"
-    team, checks = _ready(dataset.config, validation, out, weights, workers, where)
+    check_file(files.json, "JSON file")
+    dataset = Dataset.load(files.data)
+    team, checks = _ready(dataset.config, files, workers, where)
     facts = {"data": dataset.config.to_dict(), "digest": dataset.digest}
 
     def run(progress: Callable[..., None]) -> nn.Module:
         return train_path(
-            dataset, checks, out, settings,
+            dataset, checks, files.out, settings,
             progress=progress, **vars(where), **vars(model),
         )  # fmt: skip
 
-    _train("path", run, settings, facts, checks.digest, out, weights, team, json)
+    _train("path", run, settings, facts, checks.digest, files, team)
 
 
 def distill(
+    files: Files,
     training: Annotated[Any, arg(constructor=_Distillation)],
     workers: Workers,
     where: Where,
     teacher: Annotated[str, arg(metavar="NAME")],
-    data: Annotated[Path, arg(metavar="DIR")],
-    out: Annotated[Path, arg(metavar="DIR")],
-    validation: Folder = None,
-    weights: Folder = None,
-    json: OutputFile = None,
 ) -> None:
     """Train a student of stage 1 that draws in one step what its teacher draws in several, guided.
 
@@ -118,27 +137,22 @@ def distill(
     resumes from the last checkpoint.
 
     Args:
+        files: what is read and written.
         training: how it is trained.
         workers: who makes the validation data.
         where: where it is trained.
         teacher: name or folder of the weights that are distilled.
-        data: folder of a dataset with the teacher's labels, made by `legibility data`.
-        out: folder of the log, the checkpoint and the weights.
-        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        weights: where the weights are saved; OUT/weights if not given.
-        json: the settings and the last validation as JSON.
     """
     settings = made(DistillationConfig, training)
-    check_file(json, "JSON file")
+    check_file(files.json, "JSON file")
     folder = pretrained_folder(teacher)
     stages, made_by = load_stages(folder)
     if "path" not in stages:
         raise CheckpointError(f"{folder} has no stage 1")
-    dataset = Dataset.load(data)
-    weights = weights or out / "weights"
-    if weights.resolve() == folder.resolve():
-        raise InvalidInputError(f"weights must not be the teacher's own folder, got {weights}")
-    team, checks = _ready(dataset.config, validation, out, weights, workers, where)
+    dataset = Dataset.load(files.data)
+    if files.saved.resolve() == folder.resolve():
+        raise InvalidInputError(f"weights must not be the teacher's own folder, got {files.saved}")
+    team, checks = _ready(dataset.config, files, workers, where)
     facts = {
         "data": dataset.config.to_dict(),
         "digest": dataset.digest,
@@ -153,26 +167,22 @@ def distill(
     def run(progress: Callable[..., None]) -> nn.Module:
         with progress_bar("scenes of the teacher") as drawn:
             student = distill_path(
-                stages["path"], dataset, checks, out, settings,
+                stages["path"], dataset, checks, files.out, settings,
                 progress=progress, drawn=drawn, **vars(where),
             )  # fmt: skip
         if "policy" in stages and team.main:
-            save_stage(weights, "policy", stages["policy"], made_by["policy"])
+            save_stage(files.saved, "policy", stages["policy"], made_by["policy"])
         return student
 
-    _train("path", run, settings, facts, checks.digest, out, weights, team, json)
+    _train("path", run, settings, facts, checks.digest, files, team)
 
 
 def policy(
+    files: Files,
     training: Annotated[Any, arg(constructor=_PolicyTraining)],
     model: Annotated[Any, arg(constructor=_PolicyModel)],
     workers: Workers,
     where: Where,
-    data: Annotated[Path, arg(metavar="DIR")],
-    out: Annotated[Path, arg(metavar="DIR")],
-    validation: Folder = None,
-    weights: Folder = None,
-    json: OutputFile = None,
 ) -> None:
     """Train stage 2, the path-guided policy, and save its weights to OUT/weights.
 
@@ -180,34 +190,22 @@ def policy(
     OUT/tensorboard too. Interrupted, the same command resumes from the last checkpoint.
 
     Args:
+        files: what is read and written.
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
         where: where it is trained.
-        data: folder of the demonstrations, made by `legibility data --demonstrations`.
-        out: folder of the log, the checkpoint and the weights.
-        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        weights: where the weights are saved, beside those of stage 1 if they are there;
-            OUT/weights if not given.
-        json: the settings and the last validation as JSON.
     """
     settings = made(PolicyTrainingConfig, training)
-    _train_on_demonstrations(
-        "policy", train_policy, vars(model), settings, data, out, validation, workers, weights,
-        where, json,
-    )  # fmt: skip
+    _train_on_demonstrations("policy", train_policy, vars(model), settings, files, workers, where)
 
 
 def diffusion_policy(
+    files: Files,
     training: Annotated[Any, arg(constructor=_DiffusionPolicyTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
     workers: Workers,
     where: Where,
-    data: Annotated[Path, arg(metavar="DIR")],
-    out: Annotated[Path, arg(metavar="DIR")],
-    validation: Folder = None,
-    weights: Folder = None,
-    json: OutputFile = None,
 ) -> None:
     """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility.
 
@@ -215,33 +213,22 @@ def diffusion_policy(
     the last checkpoint.
 
     Args:
+        files: what is read and written.
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
         where: where it is trained.
-        data: folder of the demonstrations, made by `legibility data --demonstrations`.
-        out: folder of the log, the checkpoint and the weights.
-        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        weights: where the weights are saved; OUT/weights if not given.
-        json: the settings and the last validation as JSON.
     """
     settings = made(PolicyTrainingConfig, training)
-    _train_on_demonstrations(
-        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, where,
-        json,
-    )  # fmt: skip
+    _train_on_demonstrations("goal", train_goal, vars(model), settings, files, workers, where)
 
 
 def legibility_diffuser(
+    files: Files,
     training: Annotated[Any, arg(constructor=_LegibilityDiffuserTraining)],
     model: Annotated[Any, arg(constructor=_GoalModel)],
     workers: Workers,
     where: Where,
-    data: Annotated[Path, arg(metavar="DIR")],
-    out: Annotated[Path, arg(metavar="DIR")],
-    validation: Folder = None,
-    weights: Folder = None,
-    json: OutputFile = None,
 ) -> None:
     """Train the baseline Legibility Diffuser, then tune its guidance on the validation scenes.
 
@@ -251,21 +238,16 @@ def legibility_diffuser(
     checkpoint.
 
     Args:
+        files: what is read and written.
         training: how it is trained.
         model: the network.
         workers: who makes the validation data.
         where: where it is trained.
-        data: folder of the demonstrations, made by `legibility data --demonstrations`.
-        out: folder of the log, the checkpoint and the weights.
-        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
-        weights: where the weights are saved; OUT/weights if not given.
-        json: the settings and the last validation as JSON.
     """
     settings = made(PolicyTrainingConfig, training)
     _train_on_demonstrations(
-        "goal", train_goal, vars(model), settings, data, out, validation, workers, weights, where,
-        json, tune=True,
-    )  # fmt: skip
+        "goal", train_goal, vars(model), settings, files, workers, where, tune=True
+    )
 
 
 def _train_on_demonstrations(
@@ -273,19 +255,14 @@ def _train_on_demonstrations(
     train_it: Callable[..., Any],
     model: dict[str, Any],
     settings: PolicyTrainingConfig,
-    data: Path,
-    out: Path,
-    validation: Path | None,
+    files: Files,
     workers: Workers,
-    weights: Path | None,
     where: Where,
-    json: Path | None,
     tune: bool = False,
 ) -> None:
-    check_file(json, "JSON file")
-    demonstrations = Demonstrations.load(data)
-    weights = weights or out / "weights"
-    team, checks = _ready(demonstrations.dataset, validation, out, weights, workers, where)
+    check_file(files.json, "JSON file")
+    demonstrations = Demonstrations.load(files.data)
+    team, checks = _ready(demonstrations.dataset, files, workers, where)
     facts = {
         "data": demonstrations.dataset.to_dict(),
         "demonstrations": {**asdict(demonstrations.config), "number": len(demonstrations)},
@@ -294,7 +271,7 @@ def _train_on_demonstrations(
 
     def run(progress: Callable[..., None]) -> nn.Module:
         trained = train_it(
-            demonstrations, checks, out, settings, progress=progress, **vars(where), **model
+            demonstrations, checks, files.out, settings, progress=progress, **vars(where), **model
         )
         if tune and team.main:
             with progress_bar("combinations of guidance") as tuned:
@@ -302,7 +279,7 @@ def _train_on_demonstrations(
             trained.config = replace(trained.config, **chosen)
         return trained
 
-    _train(stage, run, settings, facts, checks.digest, out, weights, team, json)
+    _train(stage, run, settings, facts, checks.digest, files, team)
 
 
 def _train(
@@ -311,10 +288,8 @@ def _train(
     settings: TrainingConfig,
     facts: dict[str, Any],
     validation: str,
-    out: Path,
-    weights: Path,
+    files: Files,
     team: Team,
-    json: Path | None,
 ) -> None:
     """Train a stage under a progress bar, save its weights and tell what became of it."""
     with progress_bar("steps") as progress:
@@ -325,7 +300,7 @@ def _train(
         trained = run(report)
     if not team.main:
         return
-    log = [json_format.loads(r) for r in (out / LOG).read_text(encoding="utf-8").splitlines()]
+    log = files.log
     last: dict[str, float] = {}
     for row in log:
         last |= row
@@ -342,13 +317,13 @@ def _train(
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
-    save_stage(weights, stage, trained, made_by)
+    save_stage(files.saved, stage, trained, made_by)
     network: Any = trained.config
     write_report(
-        json,
+        files.json,
         seed=settings.seed,
         config={"training": asdict(settings), stage: network.to_dict()},
-        model=model_record(str(weights)),
+        model=model_record(str(files.saved)),
         result={
             "data": facts["digest"],
             "validation": validation,
@@ -361,7 +336,7 @@ def _train(
     )
     for name, value in last.items():
         rows.add_row(name, number(value, 0 if name in ("step", "seconds") else 4))
-    show(rows, f"weights: {weights}")
+    show(rows, f"weights: {files.saved}")
 
 
 def _step_seconds(log: list[dict[str, float]]) -> float:
@@ -372,30 +347,25 @@ def _step_seconds(log: list[dict[str, float]]) -> float:
 
 
 def _ready(
-    config: DatasetConfig,
-    folder: Path | None,
-    out: Path,
-    weights: Path,
-    workers: Workers,
-    where: Where,
+    config: DatasetConfig, files: Files, workers: Workers, where: Where
 ) -> tuple[Team, Dataset]:
     """The team that trains, once its folders can be written, and its validation data.
 
-    They are those of `folder`, or made like the data of `config` if it is not given.
+    They are those that are given, or made like the data of `config`.
     """
-    check_folder(out, "checkpoint")
-    check_folder(weights, "weights")
+    check_folder(files.out, "checkpoint")
+    check_folder(files.saved, "weights")
     team = Team.join(**vars(where))
-    if folder is not None:
-        return team, Dataset.load(folder)
+    if files.validation is not None:
+        return team, Dataset.load(files.validation)
     if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
-    config = config.for_validation()
+    config, folder = config.for_validation(), files.out / "validation"
     with team.main_first():
         if not team.main:
-            return team, Dataset.load(out / "validation")
+            return team, Dataset.load(folder)
         with progress_bar("shards for validation") as progress:
-            return team, generate(config, out / "validation", **vars(workers), progress=progress)
+            return team, generate(config, folder, **vars(workers), progress=progress)
 
 
 def _line(step: int, figures: dict[str, float]) -> str:
