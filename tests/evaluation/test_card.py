@@ -224,7 +224,8 @@ class TestDistilled:
         config["path"]["config"]["sampling_steps"] = 1
         config["path"]["training"] = {
             **TRAINED,
-            "training": {**teacher["training"], "steps": 4000, "pairs": 64, "score_weight": 2.5},
+            "training": {**teacher["training"], "steps": 4000, "pairs": 64, "score_weight": 2.5,
+                         "jerk_weight": 0.125},
             "teacher": {
                 "sha256": "e" * 64, "training": teacher, "sampling_steps": 3, "guidance": 0.3
             },
@@ -236,6 +237,7 @@ class TestDistilled:
         assert "a student that draws in 1 step without" in words
         assert "drew 64 paths" in words
         assert "(weight 2.5)" in words
+        assert "no more jerk than its teacher's (weight 0.125)" in words
         config["path"]["training"]["teacher"]["training"] = None
         assert "How its teacher was made is not known. Then what the teacher" in " ".join(
             render_card("m", config, documents()).split()

@@ -61,7 +61,7 @@ class BenchConfig:
     arms: int = 16
     curves: tuple[int, ...] = (4096, 8192, 16384)
     dataset: tuple[int, ...] = (1, 2, 4)
-    training_steps: int = 4
+    training_steps: int = 16
     published: tuple[int, ...] = (1, 16, 64)
     published_steps: int = 100
 

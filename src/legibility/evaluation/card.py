@@ -292,9 +292,10 @@ def _stage_1(config: dict[str, Any], training: dict[str, Any]) -> list[str]:
 Then what the teacher (SHA-256 `{teacher["sha256"]}`) draws in {before} steps with guidance
 {teacher["guidance"]:g} was distilled into a student that draws in {steps} step{"s" * (steps > 1)}
 without. In every scene of the data above the teacher drew {settings["pairs"]} paths, ℓ all over
-the dial; from the same noise the student is to draw nearly the same path, and the label that its
-path achieves is to be the asked one (weight {settings["score_weight"]:g}). The time that the
-teacher took to draw is not counted:"""),
+the dial; from the same noise the student is to draw nearly the same path, the label that its path
+achieves is to be the asked one (weight {settings["score_weight"]:g}), and the path is to have no
+more jerk than its teacher's (weight {settings["jerk_weight"]:g}). The time that the teacher took to
+draw is not counted:"""),
         "",
         trained(training, batch),
     ]

@@ -43,6 +43,7 @@ __all__ = [
 SCENES_TRAINED = 4
 """Scenes that a step of training draws its batch from; its time does not depend on them."""
 
+_WARM_UP = 8  # steps of training until they have their memory
 _NEVER = 1e-12
 _FRESH = 100
 _NEXT = itertools.count(0, _FRESH)
@@ -147,8 +148,8 @@ def dataset(dim: int, scenes: int) -> Callable[[], Dataset]:
 
 
 def training(config: PathDiffuserConfig, team: Team, steps: int) -> Work:
-    """Train stage 1 from nothing for `steps`; the pieces are the steps but the first and last."""
-    settings = PathTrainingConfig(steps=steps + 2)
+    """Train stage 1 from nothing; the pieces are `steps` after a warm-up, without the last one."""
+    settings = PathTrainingConfig(steps=_WARM_UP + steps + 1)
     model = PathDiffuser(config)
     model.signal.copy_(noise_schedule(config.diffusion_steps))
     batches = PathBatches(dataset(config.dim, SCENES_TRAINED)(), model, settings, team)
@@ -167,7 +168,7 @@ def training(config: PathDiffuserConfig, team: Team, steps: int) -> Work:
                 model, batches.loss, lambda _: {}, settings, folder,
                 identity={}, team=team, progress=progress,
             )  # fmt: skip
-        return np.diff(ends)[:-1].tolist()
+        return np.diff(ends)[-steps - 1 : -1].tolist()
 
     return work
 
