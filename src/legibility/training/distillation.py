@@ -49,7 +49,7 @@ class DistillationConfig(PathTrainingConfig):
     sampling_steps: int = 1
     pairs: int = 32
     ends: float = 0.2
-    jerk_weight: float = 0.02
+    jerk_weight: float = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()
