@@ -84,7 +84,6 @@ _EVEN, _ODD = slice(0, None, 2), slice(1, None, 2)
 _KEEP: Joins = ((_LAST, _FIRST), (_ALL, _ALL), (_FIRST, _LAST))
 _SHRINK: Joins = ((_LAST, slice(1, -1, 2)), (_ALL, _EVEN), (_ALL, _ODD))
 _GROW: Joins = ((slice(1, -1, 2), _LAST), (_EVEN, _ALL), (_ODD, _ALL), (slice(2, None, 2), _FIRST))
-_WHOLE = (_ALL, _EVEN, _ODD)
 
 
 class _Taps(torch.autograd.Function):
@@ -102,9 +101,10 @@ class _Taps(torch.autograd.Function):
         """`x (K, B, C)`, `weight (taps, C, C′)` to `(num, B, C′)`."""
         ctx.save_for_backward(x, weight)
         ctx.joins = joins
-        found = x.new_empty(num, x.shape[1], len(bias))
-        terms = [(outs, x[ins], tap) for (outs, ins), tap in zip(joins, weight, strict=True)]
-        return _add_products(found, terms, bias)
+        found = bias.repeat(num, x.shape[1], 1)  # a copy even of one row, since it is added to
+        for tap, (outs, ins) in zip(weight, joins, strict=True):
+            _add_product(found[outs], x[ins], tap)
+        return found
 
     @staticmethod
     @once_differentiable
@@ -113,33 +113,18 @@ class _Taps(torch.autograd.Function):
     ) -> tuple[Tensor | None, ...]:
         """Of `x`, `weight` and `bias`."""
         (x, weight), gradient = ctx.saved_tensors, gradients[0].contiguous()
-        of_x, of_weight, terms = None, torch.empty_like(weight), []
+        of_x = torch.zeros_like(x) if ctx.needs_input_grad[0] else None
+        of_weight = torch.empty_like(weight)
         for tap, of_tap, (outs, ins) in zip(weight, of_weight, ctx.joins, strict=True):
-            terms.append((ins, gradient[outs], tap.T))
+            if of_x is not None:
+                _add_product(of_x[ins], gradient[outs], tap.T)
             torch.mm(x[ins].flatten(0, 1).T, gradient[outs].flatten(0, 1), out=of_tap)
-        if ctx.needs_input_grad[0]:
-            of_x = _add_products(torch.empty_like(x), terms)
         return of_x, of_weight, gradient.sum((0, 1)), None, None
 
 
-def _add_products(
-    total: Tensor, terms: Sequence[tuple[slice, Tensor, Tensor]], bias: Tensor | None = None
-) -> Tensor:
-    """Fill `total (K, B, C′)` with the sum of `x @ weight` of each term, a place, x and a weight.
-
-    The first product that covers a place is written there, so that nothing need be cleared.
-    """
-    begun = []
-    for place, x, weight in sorted(terms, key=lambda term: term[0] not in _WHOLE):
-        part, weight = total[place], weight.expand(len(x), -1, -1)
-        if place not in _WHOLE or place in begun:
-            part.baddbmm_(x, weight)
-        elif bias is None:
-            torch.bmm(x, weight, out=part)
-        else:
-            torch.baddbmm(bias, x, weight, out=part)
-        begun.append(place)
-    return total
+def _add_product(total: Tensor, x: Tensor, weight: Tensor) -> None:
+    """Add `x @ weight` of `x (K, B, C)` to `total (K, B, C′)`."""
+    total.baddbmm_(x, weight.expand(len(x), -1, -1))
 
 
 def _by_taps(layer: nn.Conv1d | nn.ConvTranspose1d, x: Tensor, joins: Joins, num: int) -> Tensor:
@@ -227,10 +212,9 @@ class _Activation(torch.autograd.Function):
         mean, inverse = _spread(torch.stack([mean, inverse]), x.shape[2])
         slope = scale * inverse
         offset = torch.addcmul(shift, mean, slope, value=-1)
-        z = torch.addcmul(offset, x, slope)
-        ctx.save_for_backward(data, scale, mean, inverse, slope, z)
+        ctx.save_for_backward(data, scale, mean, inverse, slope, offset)
         ctx.groups = groups
-        return F.silu(z).to(data.dtype)
+        return F.silu(torch.addcmul(offset, x, slope), inplace=True).to(data.dtype)
 
     @staticmethod
     @once_differentiable
@@ -238,16 +222,17 @@ class _Activation(torch.autograd.Function):
         ctx: Any, *gradients: Tensor
     ) -> tuple[Tensor | None, ...]:
         """Of `data`, `scale` and `shift`."""
-        data, scale, mean, inverse, slope, z = ctx.saved_tensors
+        data, scale, mean, inverse, slope, offset = ctx.saved_tensors
         x = data.float()
+        z = torch.addcmul(offset, x, slope)
         of_z = torch.ops.aten.silu_backward(gradients[0].float(), z)
         of_shift = of_z.sum(0)
-        of_scale = torch.mul(of_z, x).sum(0).addcmul_(mean, of_shift, value=-1).mul_(inverse)
+        of_scale = torch.mul(of_z, x, out=z).sum(0).addcmul_(mean, of_shift, value=-1).mul_(inverse)
         # What every point of a group adds by its mean, and by its standard deviation.
         parts = _group_means(torch.stack([of_shift, of_scale]) * scale, ctx.groups) / -len(x)
         by_mean, by_deviation = _spread(parts, x.shape[2]) * inverse
         by_deviation *= inverse
-        of_x = torch.addcmul(by_mean - by_deviation * mean, x, by_deviation)
+        of_x = torch.addcmul(by_mean - by_deviation * mean, x, by_deviation, out=z)
         of_x.addcmul_(of_z, slope)
         affine = (part.sum_to_size(scale.shape) for part in (of_scale, of_shift))
         return of_x.to(data.dtype), *affine, None, None
