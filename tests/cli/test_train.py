@@ -22,6 +22,8 @@ def test_report_and_weights(run, dataset):
     assert content["result"]["data"] == Dataset.load(dataset).digest
     assert content["result"]["last"]["step"] == 20
     assert "validation_error" in content["result"]["last"]
+    assert content["result"]["precision"] == "no"
+    assert content["result"]["step_seconds"] > 0
     model = lg.Modulator.from_pretrained(weights)
     assert (
         sum(p.numel() for p in model.path_diffuser.parameters()) == content["result"]["parameters"]

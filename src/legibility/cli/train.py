@@ -304,11 +304,8 @@ def _train(
     last: dict[str, float] = {}
     for row in log:
         last |= row
-    parameters = sum(p.numel() for p in trained.parameters())
-    made_by = {
-        **facts,
-        "training": asdict(settings),
-        "parameters": parameters,
+    measured = {
+        "parameters": sum(p.numel() for p in trained.parameters()),
         "seconds": last["seconds"],
         "step_seconds": _step_seconds(log),
         "device": str(team.device),
@@ -317,23 +314,17 @@ def _train(
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
-    save_stage(files.saved, stage, trained, made_by)
+    save_stage(files.saved, stage, trained, {**facts, "training": asdict(settings), **measured})
     network: Any = trained.config
     write_report(
         files.json,
         seed=settings.seed,
         config={"training": asdict(settings), stage: network.to_dict()},
         model=model_record(str(files.saved)),
-        result={
-            "data": facts["digest"],
-            "validation": validation,
-            "parameters": parameters,
-            "last": last,
-        },
+        result={"data": facts["digest"], "validation": validation, **measured, "last": last},
     )
-    rows = table(
-        f"{parameters} parameters after {settings.steps} steps", "figure", "last", text_columns=1
-    )
+    title = f"{measured['parameters']} parameters after {settings.steps} steps"
+    rows = table(title, "figure", "last", text_columns=1)
     for name, value in last.items():
         rows.add_row(name, number(value, 0 if name in ("step", "seconds") else 4))
     show(rows, f"weights: {files.saved}")
