@@ -185,6 +185,7 @@ def test_turning_is_of_the_shape(seed, size, dim, scale):
 
 def test_standing_still_is_not_turning():
     assert curves.turning(np.zeros((5, 2))) == 0
-    corner = np.array([[0.0, 0], [1, 0], [1, 1]])
+    corner = np.array([[0, 0], [1, 0], [1, 1]])
     assert curves.turning(corner) == pytest.approx(np.pi / 2)
     assert curves.turning(corner[[0, 0, 1, 2, 2]]) == pytest.approx(np.pi / 2)
+    assert np.isnan(curves.turning(np.array([[0, 0], [1, 0], [1, 1], [np.nan, 0]])))

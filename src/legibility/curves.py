@@ -37,15 +37,15 @@ def arc_length(trajectory: Array) -> Array:
 def turning(trajectory: Array) -> Array:
     """Angle [rad] that the steps of each trajectory turn through in all, `(...)`.
 
-    0 is straight, 2π a full circle or half a circle there and back; a point where the trajectory
-    stands still does not count.
+    0 is straight, 2π a full circle. How it turns where it stands still is not seen: `resample` one
+    that does.
     """
     steps = np.diff(trajectory, axis=-2)
     length = np.linalg.norm(steps, axis=-1, keepdims=True)
-    steps = np.divide(steps, length, out=np.zeros_like(steps), where=length > 0)
+    steps = np.divide(steps, length, out=np.zeros(steps.shape), where=length != 0)
     before, after = steps[..., :-1, :], steps[..., 1:, :]
     apart, along = (np.linalg.norm(x, axis=-1) for x in (after - before, after + before))
-    moving = (length[..., :-1, 0] > 0) & (length[..., 1:, 0] > 0)
+    moving = (length[..., :-1, 0] != 0) & (length[..., 1:, 0] != 0)
     return np.where(moving, 2 * np.arctan2(apart, along), 0.0).sum(-1)
 
 

@@ -187,6 +187,33 @@ class TestMeasuresWhatItSays:
         assert means["at_1"] == pytest.approx(0.9, abs=0.02)
         assert means["spearman"] > 0.98
 
+    def test_turning_is_of_both_ends_alone(self):
+        fake = Fake(straight)
+        plan, ends = fake.plan, {-1: 0.05, 0: 0.3, 1: 0.1}  # height of an arch, by what is asked
+        found = []
+
+        def arch(scene, target=0, legibility=1.0, **options):
+            path = plan(scene, target, legibility, **options)
+            if np.ndim(legibility) == 0:  # the plan that is timed
+                return path
+            way = scene.goals[target] - scene.start
+            arch = np.sin(np.linspace(0, np.pi, 10))[:, None] * np.array([-way[1], way[0]])
+            heights = [ends[int(level)] for level in path.legibility]
+            bent = np.stack([scene.start + np.linspace(0, 1, 10)[:, None] * way] * len(heights))
+            bent += np.array(heights)[:, None, None] * arch
+            path = dataclasses.replace(path, waypoints=bent)
+            headings = np.arctan2(*np.moveaxis(np.diff(path.trajectory(200), axis=1), -1, 0)[::-1])
+            turned = np.abs(np.diff(np.unwrap(headings, axis=1), axis=1)).sum(1)
+            found.append(turned[np.abs(path.legibility) == 1].mean())
+            return path
+
+        fake.plan = arch
+        config = DialConfig(scenes=2, levels=9, samples=2, candidates=0)
+        rows = evaluate_dial(fake, config)["scenes"]
+        expected = found[-2:]
+        assert [row["turning"] for row in rows] == pytest.approx(expected, abs=1e-6)
+        assert 0.3 < expected[0] < 0.8
+
     def test_clipped_curves_are_not_inside(self):
         fake = Fake(perfect)
         plan = fake.plan

@@ -53,7 +53,8 @@ class Files:
     """What a training reads and writes.
 
     Attributes:
-        data: folder of the dataset, made by `legibility data`; a policy needs its demonstrations.
+        data: folder of the dataset, made by `legibility data`: for a policy with --demonstrations,
+            for a student with its teacher's labels.
         out: folder of the log, the checkpoint and the weights.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved, beside those of another stage if they are there;
@@ -71,12 +72,6 @@ class Files:
     def saved(self) -> Path:
         """Where the weights are saved."""
         return self.weights or self.out / "weights"
-
-    @property
-    def log(self) -> list[dict[str, float]]:
-        """The rows of the log."""
-        text = (self.out / LOG).read_text(encoding="utf-8")
-        return [json.loads(row) for row in text.splitlines()]
 
 
 _PathTraining = flags(PathTrainingConfig)
@@ -300,7 +295,8 @@ def _train(
         trained = run(report)
     if not team.main:
         return
-    log = files.log
+    text = (files.out / LOG).read_text(encoding="utf-8")
+    log = [json.loads(row) for row in text.splitlines()]
     last: dict[str, float] = {}
     for row in log:
         last |= row

@@ -294,8 +294,8 @@ Then what the teacher (SHA-256 `{teacher["sha256"]}`) draws in {before} steps wi
 without. In every scene of the data above the teacher drew {settings["pairs"]} paths, ℓ all over
 the dial; from the same noise the student is to draw nearly the same path, the label that its path
 achieves is to be the asked one (weight {settings["score_weight"]:g}), and the path is to have no
-more jerk than its teacher's (weight {settings["jerk_weight"]:g}). The time that the teacher took to
-draw is not counted:"""),
+more jerk than its teacher's (weight {settings.get("jerk_weight", 0):g}). The first of these minutes
+were the teacher's:"""),
         "",
         trained(training, batch),
     ]

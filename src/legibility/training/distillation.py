@@ -29,7 +29,7 @@ from .team import Team
 __all__ = ["DistillationBatches", "DistillationConfig", "distill_path"]
 
 _AT_ONCE = 16  # scenes that the teacher draws for
-_SMOOTH = 0.01  # jerk far below this is not seen
+_SMOOTH = 0.01  # added to a jerk, so that what is far below it makes no difference
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,10 @@ class DistillationBatches(PathBatches):
         super().__init__(data, teacher, config, team)
         self.teacher = teacher
         self.drawn = drawn
-        self.noise: Tensor | None = None
+        self.noise = torch.empty(0)
 
-    def draw(self) -> Tensor:
-        """Let the teacher draw the pairs that the student learns; their noise `(B, N, K, D)`."""
+    def draw(self) -> None:
+        """Let the teacher draw what the student learns: waypoints from noise, for labels."""
         num, pairs, device = len(self.labels), self.config.pairs, self.team.device
         generator = torch.Generator().manual_seed(self.config.seed)
         shape = (num, pairs, *self.waypoints.shape[2:])
@@ -108,19 +108,19 @@ class DistillationBatches(PathBatches):
             self.teacher.to(before)
         self.drawn(num, num)
         self.noise = noise
-        return noise
 
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Squared distance from the teacher's paths; the achieved label, walls and jerk besides."""
-        pairs = self.draw() if self.noise is None else self.noise
+        if not len(self.noise):
+            self.draw()
         config, per = self.config, self.config.per_scene
         scenes = torch.randint(len(self.labels), (config.scenes,), generator=generator)
         chosen = torch.randint(self.labels.shape[1], (config.scenes, per), generator=generator)
         scenes, chosen = (self.team.share(x).to(self.team.device) for x in (scenes, chosen))
         each, chosen = scenes.repeat_interleave(per), chosen.flatten()
-        level, noise = self.labels[each, chosen], pairs[each, chosen]
+        level, noise = self.labels[each, chosen], self.noise[each, chosen]
         conditions = self.conditions.without_image().map(lambda x: x[each])
         times = sampling_timesteps(len(model.signal), config.sampling_steps)
         with self.team.autocast():
@@ -143,7 +143,10 @@ class DistillationBatches(PathBatches):
         return total, {name: part.detach() for name, part in parts.items()}
 
     def _jerk(self, waypoints: Tensor) -> Tensor:
-        """`(B,)`: squared third differences along paths of waypoints `(B, K, D)`, in the frame."""
+        """`(B,)`: squared third differences along paths of waypoints `(B, K, D)` in the frame.
+
+        In squared lengths of the straight line, and `_SMOOTH` more.
+        """
         return self.scorer.path(waypoints).diff(n=3, dim=1).square().sum((1, 2)) + _SMOOTH
 
 
