@@ -76,6 +76,32 @@ def test_two_take_the_steps_of_one(data, alone, tmp_path):
             np.testing.assert_allclose(two[name], one[name], atol=2e-3, err_msg=name)
 
 
+LEAVES = """
+import weakref, torch
+from torch.distributed import distributed_c10d
+from legibility.training import Team
+team = Team.join("cpu")
+group = weakref.ref(distributed_c10d._get_default_group())
+import torch._dynamo
+assert team.mean([torch.tensor([float(team.rank)])])[0] == 0.5
+team.leave()
+assert group() is None
+print("left")
+"""
+
+
+def test_nothing_is_left_of_a_group_that_ended(tmp_path):
+    (tmp_path / "leaves.py").write_text(LEAVES)
+    run = subprocess.run(
+        [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2",
+         str(tmp_path / "leaves.py")],
+        env={**os.environ, "PYTHONPATH": SOURCE, "OMP_NUM_THREADS": "1"},
+        capture_output=True, text=True, timeout=200,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.count("left") == 2
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
 def test_one_killed_ends_the_run_and_the_same_command_resumes(data, tmp_path):
     run = start(2, 60, data, tmp_path)

@@ -293,6 +293,7 @@ def _train(
             progress(step, steps, _line(step, figures))
 
         trained = run(report)
+    team.leave()
     if not team.main:
         return
     text = (files.out / LOG).read_text(encoding="utf-8")

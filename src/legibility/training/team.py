@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -58,6 +59,10 @@ class Team:
         if not any(name in os.environ for name in _LAUNCHED):
             return cls(choose_device(device), precision=precision or "no")
         from accelerate import Accelerator
+
+        # Imported while there is a group, it would bind that group in defaults of its functions,
+        # and `leave` could not end it.
+        import_module("torch.distributed.nn.functional")
 
         try:
             joined = Accelerator(cpu=device == "cpu", mixed_precision=precision)
@@ -121,6 +126,14 @@ class Team:
         flat = self.accelerator.reduce(torch.cat([v.flatten() for v in values]), "mean")
         parts = flat.split([v.numel() for v in values])
         return [part.view_as(v) for part, v in zip(parts, values, strict=True)]
+
+    def leave(self) -> None:
+        """End the group of processes, once nothing more is sent; without, one may crash at its end.
+
+        gloo's threads wait for Python's lock to give back what they sent.
+        """
+        if self.accelerator is not None:
+            self.accelerator.end_training()
 
     def scaler(self) -> torch.amp.GradScaler:
         """What keeps small gradients from vanishing in fp16; in others it does nothing."""
