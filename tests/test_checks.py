@@ -24,8 +24,21 @@ def test_finite_array_takes_every_kind_of_real_number(value):
 
 @pytest.mark.parametrize(
     "value",
-    ["1", ["1", "2"], [1, "2"], {}, {"a": 1}, [[1], [1, 2]], [1 + 2j], [True], [True, 0.5],
-     [np.True_, 1], [[1, 2], [False, 2]], b"1", 10**400],
+    [
+        "1",
+        ["1", "2"],
+        [1, "2"],
+        {},
+        {"a": 1},
+        [[1], [1, 2]],
+        [1 + 2j],
+        [True],
+        [True, 0.5],
+        [np.True_, 1],
+        [[1, 2], [False, 2]],
+        b"1",
+        10**400,
+    ],
     ids=repr,
 )
 def test_finite_array_rejects_what_is_not_numbers(value):
@@ -85,8 +98,8 @@ def test_target_index(target):
 
 @pytest.mark.parametrize(
     "target",
-    [-1, 3, 1.0, np.float64(1), np.array(1.0), "1", None, True, np.True_, [0], np.array([0]), np.nan,
-     torch.tensor(1.0), torch.tensor([0]), torch.tensor(True)],
+    [-1, 3, 1.0, np.float64(1), np.array(1.0), np.nan, "1", None, True, np.True_, [0],
+     np.array([0]), torch.tensor(1.0), torch.tensor([0]), torch.tensor(True)],
 )  # fmt: skip
 def test_target_index_rejects(target):
     with pytest.raises(InvalidInputError, match=r"^target must be .*, got "):

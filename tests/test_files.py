@@ -181,13 +181,17 @@ YAML = {
 @pytest.mark.parametrize(("message", "text"), YAML.values(), ids=YAML)
 def test_yaml_that_is_refused(message, text, tmp_path):
     (tmp_path / "x.yaml").write_text(text)
-    with pytest.raises(InvalidSceneError, match=rf"x\.yaml is not valid YAML: .*{message}") as caught:
+    with pytest.raises(
+        InvalidSceneError, match=rf"x\.yaml is not valid YAML: .*{message}"
+    ) as caught:
         read_document(tmp_path / "x.yaml", "file", InvalidSceneError)
     assert "\n" not in str(caught.value)
 
 
 def test_yaml_that_is_read(tmp_path):
-    text = "a: [0, -1, +2, 0.5, .5, 5., 5.0e-1, 1.5e+3, -0.0, 00.5]\nb: [.inf, '5e-1', text, yes, ~]\n"
+    text = (
+        "a: [0, -1, +2, 0.5, .5, 5., 5.0e-1, 1.5e+3, -0.0, 00.5]\nb: [.inf, '5e-1', text, yes, ~]\n"
+    )
     (tmp_path / "x.yml").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
     assert read_document(tmp_path / "x.yml", "file") == {
         "a": [0, -1, 2, 0.5, 0.5, 5, 0.5, 1500, 0, 0.5],

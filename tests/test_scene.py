@@ -226,7 +226,10 @@ def test_arrays_of_other_libraries_are_read():
     goals = [torch.tensor(goal, dtype=torch.float64, requires_grad=True) for goal in GOALS]
     assert Scene(start, goals) == expected
     assert Scene(pandas.Series(START), pandas.DataFrame(GOALS)) == expected
-    assert Scene([np.float64(x) for x in START], [[np.float64(x) for x in g] for g in GOALS]) == expected
+    assert (
+        Scene([np.float64(x) for x in START], [[np.float64(x) for x in g] for g in GOALS])
+        == expected
+    )
 
 
 @given(seeds, dims, st.integers(2, 6), st.data())

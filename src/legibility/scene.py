@@ -51,8 +51,8 @@ _ROUNDING = 1e-6
 class Scene:
     """Start, goals and workspace, all in metres in the environment's world frame.
 
-    A start that a robot reports a little beyond a wall (`START_OVERSHOOT`), and a goal that rounding
-    puts there (1e-6 of the workspace's diagonal), are moved onto the wall.
+    A start a little beyond a wall (`START_OVERSHOOT`), as robots report it, and a goal beyond it by
+    rounding (1e-6 of the workspace's diagonal) are moved onto the wall.
 
     Args:
         start: `(D,)` [m], D is 2 or 3.
