@@ -142,6 +142,7 @@ def paths_of(archive: Archive) -> Array:
     return bezier_trajectories(archive.controls, NUM_WAYPOINTS + 2)
 
 
+@np.errstate(under="ignore")
 def select(
     archive: Archive, num: int, efficiency: float, rng: np.random.Generator
 ) -> dict[str, Array]:
@@ -200,6 +201,7 @@ def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
     }
 
 
+@np.errstate(under="ignore")
 def _shard(config: DatasetConfig, scenes: range) -> bytes:
     return shard_bytes([_row(config, i) for i in scenes], config.to_dict())
 

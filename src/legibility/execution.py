@@ -258,6 +258,7 @@ class Replay:
         return np.diff(tracker.of(rows).points(arc), axis=1)
 
 
+@np.errstate(under="ignore")
 def follow(
     fleet: Fleet,
     paths: list[Path],

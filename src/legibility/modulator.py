@@ -17,7 +17,7 @@ from .checks import (
     finite_array,
     legibility_levels,
     positive,
-    random_seed,
+    seed_or_entropy,
     target_index,
 )
 from .curves import NUM_WAYPOINTS, path_curve
@@ -25,7 +25,7 @@ from .errors import CheckpointError, InvalidInputError, InvalidSceneError
 from .execution import Driver, Fleet, Policy, Rollout, follow
 from .intent.field import InformationPotentialField
 from .intent.metrics import SCORE_POINTS, legibility_score
-from .models.frame import Frame
+from .models.frame import Frame, check_scale
 from .models.path_diffuser import PathDiffuser, PathDiffuserConfig
 from .models.path_policy import PathPolicy
 from .models.pretrained import load_stages, pretrained_folder, save_stage
@@ -131,13 +131,14 @@ class Modulator:
         if self.path_policy is not None:
             save_stage(folder, "policy", self.path_policy, self.training.get("policy"))
 
+    @np.errstate(under="ignore")
     def plan(
         self,
         scene: Scene,
         target: int = 0,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -148,7 +149,7 @@ class Modulator:
             scene: of the model's dimension.
             target: index of the goal that is meant.
             legibility: ℓ in [−1, 1], a number or `(B,)`.
-            seed: of the paths drawn.
+            seed: of the paths drawn; None draws other paths each time.
             num_candidates: paths drawn for each ℓ; all are scored exactly and the one whose
                 achieved label is nearest to ℓ is returned; at ±1 the most legible or ambiguous
                 one, whether or not the archive holds any like it. Between, more than one needs the
@@ -163,7 +164,7 @@ class Modulator:
         self._check_scene(scene)
         target = target_index(target, scene.num_goals)
         levels = legibility_levels(legibility)
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
         num_candidates = count("num_candidates", num_candidates)
         guidance, steps = self._sampling(guidance, steps)
         asked = np.repeat(np.atleast_1d(levels), num_candidates)
@@ -175,13 +176,14 @@ class Modulator:
             drawn = drawn[np.arange(len(best)) * num_candidates + best]
         return self._path(scene, target, levels, drawn if levels.ndim else drawn[0])
 
+    @np.errstate(under="ignore")
     def plan_many(
         self,
         scenes: Sequence[Scene],
-        targets: Sequence[int],
+        targets: int | Sequence[int],
         legibility: ArrayLike,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -190,9 +192,9 @@ class Modulator:
 
         Args:
             scenes: `B` of the model's dimension.
-            targets: `(B,)`, index of the goal that is meant in each.
+            targets: index of the goal that is meant, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
-            seed: of the paths drawn.
+            seed: of the paths drawn; None draws other paths each time.
             num_candidates: see `plan`.
             guidance: weight of classifier-free guidance at ±1; the model's own if not given.
             steps: of the sampler; the model's own if not given.
@@ -204,15 +206,13 @@ class Modulator:
         scenes = list(scenes)
         for scene in scenes:
             self._check_scene(scene)
-        if not scenes or len(targets) != len(scenes):
-            raise InvalidInputError(
-                f"targets must be as many as scenes, at least one, "
-                f"got {len(targets)} and {len(scenes)}"
-            )
-        chosen = [target_index(t, s.num_goals) for s, t in zip(scenes, targets, strict=True)]
+        if not scenes:
+            raise InvalidInputError("scenes must be at least one, got none")
+        wanted, seed = targets_for(len(scenes), targets), seed_or_entropy("seed", seed)
+        chosen = [target_index(t, s.num_goals) for s, t in zip(scenes, wanted, strict=True)]
         levels = levels_for(len(scenes), legibility)
         if count("num_candidates", num_candidates) > 1:
-            words = np.random.SeedSequence(random_seed("seed", seed)).generate_state(len(scenes))
+            words = np.random.SeedSequence(seed).generate_state(len(scenes))
             options: dict[str, Any] = {"guidance": guidance, "steps": steps}
             return [
                 self.plan(
@@ -221,18 +221,17 @@ class Modulator:
                 for scene, target, level, word in zip(scenes, chosen, levels, words, strict=True)
             ]
         guidance, steps = self._sampling(guidance, steps)
-        drawn = self._draw_on_its_side(
-            scenes, chosen, levels, random_seed("seed", seed), guidance, steps
-        )
+        drawn = self._draw_on_its_side(scenes, chosen, levels, seed, guidance, steps)
         return [self._path(*each) for each in zip(scenes, chosen, levels, drawn, strict=True)]
 
+    @np.errstate(under="ignore")
     def execute(
         self,
         env: Any,
         target: int | Sequence[int] | None = None,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         path: Path | Sequence[Path] | None = None,
         replan: bool = True,
         tolerance: float | None = None,
@@ -251,7 +250,7 @@ class Modulator:
             target: index of the goal that is meant, one for all or `(B,)`; the environment's own
                 if not given.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
-            seed: of the paths and actions drawn.
+            seed: of the paths and actions drawn; None draws others each time.
             path: follow these, `B` of them, instead of planning; they must start at the robots.
             replan: whether to plan again, with the same ℓ for what is left of the motion, where a
                 push has taken the robot off its path by more than `tolerance` or its goal was
@@ -270,7 +269,7 @@ class Modulator:
             InvalidInputError: an argument is out of its range or does not fit the environment.
             CheckpointError: the model has no stage 2.
         """
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
         if driver is None:
             if self._actor is None:
                 raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
@@ -296,13 +295,7 @@ class Modulator:
                 f"path must be a legibility.Path for each of {fleet.size} robots, got {len(given)}"
             )
         if target is not None:
-            several = isinstance(target, list | tuple | np.ndarray) and np.ndim(target) > 0
-            wanted: list[Any] = list(target) if several else [target] * fleet.size  # pyright: ignore
-            if len(wanted) != fleet.size:
-                raise InvalidInputError(
-                    f"target must be one for all or {fleet.size}, got {len(wanted)}"
-                )
-            fleet.set_targets(wanted)
+            fleet.set_targets(targets_for(fleet.size, target))
         options: dict[str, Any] = {
             "num_candidates": num_candidates, "guidance": guidance, "steps": steps
         }  # fmt: skip
@@ -457,6 +450,16 @@ class Modulator:
             raise InvalidSceneError(
                 f"the model {self.name} plans in {self.config.dim}D, the scene is {scene.dim}D"
             )
+        check_scale(scene, self.name)
+
+
+def targets_for(size: int, targets: Any) -> list[Any]:
+    """A target for each of `size`, of one for all or of as many."""
+    if not getattr(targets, "ndim", isinstance(targets, list | tuple)):
+        return [targets] * size
+    if len(targets) != size:
+        raise InvalidInputError(f"target must be one for all or {size}, got {len(targets)}")
+    return list(targets)
 
 
 def levels_for(size: int, legibility: ArrayLike) -> Array:

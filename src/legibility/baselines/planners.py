@@ -32,6 +32,7 @@ def straight_path(
     )
 
 
+@np.errstate(under="ignore")
 def archive_path(archive: Archive, level: float) -> Path:
     """The archive's trajectory whose label is nearest to ℓ: at 1 its most legible one."""
     controls = archive.controls[[archive.nearest(level)]]
@@ -42,6 +43,7 @@ def archive_path(archive: Archive, level: float) -> Path:
     )  # fmt: skip
 
 
+@np.errstate(under="ignore")
 def search(
     scene: Scene,
     target: int,

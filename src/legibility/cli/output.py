@@ -45,6 +45,9 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 _PATIENCE = 2.0
 """Work shorter than this [s] shows no progress bar."""
 
+_SHARE, _INTERVAL = 0.1, 30.0
+"""Off a terminal a line is printed after this share of the work or this time [s]."""
+
 
 def check_file(path: Path | None, what: str) -> None:
     """Raise before any work is done if `path`, the file of `what`, cannot be written."""
@@ -183,7 +186,8 @@ def _console(file: Any) -> Console:
 def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     """Yield `progress(done, total, line="")`, which draws a bar once the work takes a while.
 
-    Only on a terminal; `line` is a message that stays, above the bar or in a log file.
+    Off a terminal it prints a line after every tenth of the work or 30 s instead. `line` is a
+    message that stays, above the bar or in a log file.
     """
     from rich.progress import (
         BarColumn,
@@ -195,6 +199,7 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     )
 
     console = _console(sys.stderr)
+    printed, shown = time.monotonic() + _PATIENCE, 0.0
     started = time.monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     bar = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
@@ -207,6 +212,8 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
             bar.start()
         if done >= total and bar.live.is_started:
             bar.stop()  # another one may follow
+        if late and not console.is_terminal:
+            report(done, total)
         if line:
             bar.console.print(Text(line))
 

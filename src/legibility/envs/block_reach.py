@@ -211,6 +211,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         wall, disturbed = np.zeros((2, self.num_envs), dtype=bool)
         return self._observation(), self._info(wall, disturbed)
 
+    @np.errstate(under="ignore")
     def step(
         self, actions: Array
     ) -> tuple[dict[str, Any], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, bounded, count, finite_array, positive, random_seed, target_index
+from ..checks import Array, bounded, count, finite_array, positive, seed_or_entropy, target_index
 from ..curves import farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.field import InformationPotentialField
@@ -76,6 +76,7 @@ class Archive:
         """Cells filled, as a share of the cells that any candidate reached."""
         return len(self) / self.cells_reached
 
+    @np.errstate(under="ignore")
     def label_of(self, scores: ArrayLike) -> Array:
         """The achieved label of any scores `(...)`: monotone in the score, clipped to [−1, 1].
 
@@ -85,6 +86,7 @@ class Archive:
         knots, labels = self._knots
         return np.interp(scores, knots, labels)
 
+    @np.errstate(under="ignore")
     def score_of(self, labels: ArrayLike) -> Array:
         """The inverse of `label_of`: the score `(...)` at which a label is read."""
         knots, values = self._knots
@@ -157,11 +159,12 @@ class CurveGrid:
         return new
 
 
+@np.errstate(under="ignore")
 def build_archive(
     scene: Scene,
     target: int = 0,
     *,
-    seed: int | np.random.SeedSequence = 0,
+    seed: int | np.random.SeedSequence | None = 0,
     sigma: float | None = None,
     alpha: float = DEFAULT_ALPHA,
     label: str = "anchored",
@@ -175,7 +178,7 @@ def build_archive(
     Args:
         scene: the scene.
         target: index of the goal that is meant.
-        seed: of the curves drawn.
+        seed: of the curves drawn; None draws others each time.
         sigma: the observer's σ [m]; `DEFAULT_SIGMA` of the dimension if not given.
         alpha: decay of the score's weight.
         label: `anchored` (ℓ = 0 is the straight line) or `rank` (the paper's).
@@ -201,7 +204,7 @@ def build_archive(
     max_candidates = count("max_candidates", max_candidates, low=random_candidates)
     positive("patience", patience)
     if not isinstance(seed, np.random.SeedSequence):
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
     grid = CurveGrid(scene, target, cells)
