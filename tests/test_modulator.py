@@ -357,7 +357,9 @@ class TestOptions:
         def scaled(factor):
             return lg.Scene(scene.start * factor, scene.goals * factor, scene.workspace * factor)
 
-        with pytest.raises(InvalidSceneError, match=r"the scene is .* m across; the model tiny plan"):
+        with pytest.raises(
+            InvalidSceneError, match=r"the scene is .* m across; the model tiny plan"
+        ):
             modulator.plan(scaled(100))
         with pytest.raises(InvalidSceneError, match=r"scenes of about .* m: give metres"):
             modulator.plan_many([scene, scaled(20)], 0, 0.0)

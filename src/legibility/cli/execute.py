@@ -128,21 +128,6 @@ def execute(
         }
         for rollout in rollouts
     ]
-    if figure is not None:
-        from ..evaluation.film import execution_figure
-
-        execution_figure(rollouts, figure)
-    if spectrum is not None:
-        from ..evaluation.spectrum import Spectrum
-        from ..evaluation.spectrum_figure import spectrum_figure
-        from ..evaluation.table1 import SCENES
-
-        spectrum_figure([Spectrum.of(rollouts, SCENES[place.dim].spacing)], spectrum)
-    if video is not None:
-        from ..evaluation.film import execution_film
-
-        with progress_bar("frames") as progress:
-            execution_film(rollouts, video, progress=progress)
     if csv is not None:
         from .trajectories import write_trajectories
 
@@ -166,6 +151,21 @@ def execute(
         "rollouts": rows,
     }
     write_report(json, seed=seed, config=config, model=model_record(model), result=result)
+    if figure is not None:
+        from ..evaluation.film import execution_figure
+
+        execution_figure(rollouts, figure)
+    if spectrum is not None:
+        from ..evaluation.spectrum import Spectrum
+        from ..evaluation.spectrum_figure import spectrum_figure
+        from ..evaluation.table1 import SCENES
+
+        spectrum_figure([Spectrum.of(rollouts, SCENES[place.dim].spacing)], spectrum)
+    if video is not None:
+        from ..evaluation.film import execution_film
+
+        with progress_bar("frames") as progress:
+            execution_film(rollouts, video, progress=progress)
 
     figures = table(
         f"{scene}, goal {target}, {model}",

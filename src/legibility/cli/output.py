@@ -45,8 +45,8 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 _PATIENCE = 2.0
 """Work shorter than this [s] shows no progress bar."""
 
-_SHARE, _INTERVAL = 0.1, 30.0
-"""Off a terminal a line is printed after this share of the work or this time [s]."""
+_INTERVAL = 30.0
+"""Off a terminal a line of progress is printed after this time [s] at the latest."""
 
 
 def check_file(path: Path | None, what: str) -> None:
@@ -182,6 +182,20 @@ def _console(file: Any) -> Console:
     )
 
 
+class _ProgressLines:
+    """Progress for a log file or a pipe: a line now and then, and none of quick work."""
+
+    def __init__(self, title: str) -> None:
+        self.title, self.tenths, self.time = title, 0, time.monotonic()
+
+    def update(self, done: int, total: int) -> None:
+        """Print a line if enough was done, or enough time has passed, since the last one."""
+        tenths, waited = 10 * done // max(total, 1), time.monotonic() - self.time
+        if waited > (_PATIENCE if tenths != self.tenths else _INTERVAL):
+            note(f"{self.title} {done} of {total}")
+            self.tenths, self.time = tenths, time.monotonic()
+
+
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     """Yield `progress(done, total, line="")`, which draws a bar once the work takes a while.
@@ -199,8 +213,8 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     )
 
     console = _console(sys.stderr)
-    printed, shown = time.monotonic() + _PATIENCE, 0.0
     started = time.monotonic()
+    lines = _ProgressLines(title)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     bar = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
     task = bar.add_task(title, total=None)
@@ -212,8 +226,8 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
             bar.start()
         if done >= total and bar.live.is_started:
             bar.stop()  # another one may follow
-        if late and not console.is_terminal:
-            report(done, total)
+        if not console.is_terminal:
+            lines.update(done, total)
         if line:
             bar.console.print(Text(line))
 
