@@ -397,6 +397,10 @@ class TestPretrained:
         assert Modulator.from_pretrained("weights").name == "weights"
         monkeypatch.chdir(folder)
         assert Modulator.from_pretrained(".").name == "weights"
+        monkeypatch.setenv("HOME", str(folder.parent))
+        monkeypatch.setenv("USERPROFILE", str(folder.parent))
+        Modulator.from_pretrained("~/weights").save_pretrained("~/others")
+        assert (folder.parent / "others" / "config.json").exists()
 
     def test_only_two_files(self, folder):
         assert sorted(p.name for p in folder.iterdir()) == ["config.json", "path.safetensors"]

@@ -5,6 +5,7 @@ import pytest
 
 import legibility as lg
 from legibility.dataset import DatasetConfig, generate
+from legibility.demonstrations import DemonstrationsConfig, demonstrate
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.execution import Feedback
 from legibility.intent.observers import COSTS
@@ -95,3 +96,5 @@ def test_metrics(scene, reach):
 def test_dataset(dim, tmp_path):
     config = DatasetConfig(dim=dim, scenes=3, cells=8, per_scene=9, efficiency=1e-3)
     generate(config, tmp_path)
+    if dim == 2:
+        demonstrate(tmp_path, DemonstrationsConfig(demonstrations=1))

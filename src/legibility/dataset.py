@@ -18,6 +18,7 @@ import pyarrow as pa
 from .checks import Array, bounded, count, positive, random_seed
 from .curves import NUM_WAYPOINTS, arc_length, path_curve
 from .errors import DatasetError, InvalidInputError
+from .files import at_home
 from .intent.labels import LABELS
 from .intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
 from .motion.archive import DEFAULT_CELLS, Archive, build_archive
@@ -229,7 +230,7 @@ def generate(
         OutputError: the folder cannot be written.
         WorkerError: there are no workers, or they die again and again.
     """
-    folder = Path(folder)
+    folder = at_home(folder)
 
     def scenes(number: int) -> range:
         return range(number * SHARD, min((number + 1) * SHARD, config.scenes))
@@ -276,7 +277,7 @@ class Dataset:
         Raises:
             DatasetError: it is missing, incomplete or changed since it was written.
         """
-        content, digest, table = read_shards(Path(folder), _MANIFEST, "legibility data")
+        content, digest, table = read_shards(at_home(folder), _MANIFEST, "legibility data")
         try:
             config = DatasetConfig.from_dict(content)
             if table.num_rows != config.scenes:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from ..errors import CheckpointError
-from ..files import file_hash, read_text, write_json
+from ..files import at_home, file_hash, read_text, write_json
 from .checkpoint import load_state, load_tensors, save_tensors
 from .goal_policy import GoalPolicy, GoalPolicyConfig
 from .path_diffuser import PathDiffuser, PathDiffuserConfig
@@ -38,8 +38,8 @@ def pretrained_folder(name_or_folder: str | Path) -> Path:
     names = sorted({name for stage in _STAGES for name in pretrained_names(stage)})
     if str(name_or_folder) in names:
         return _WEIGHTS / str(name_or_folder)
-    if Path(name_or_folder).is_dir():
-        return Path(name_or_folder)
+    if (folder := at_home(name_or_folder)).is_dir():
+        return folder
     raise CheckpointError(
         f"there are no weights {str(name_or_folder)!r}: give a folder or one of {names}"
     )
@@ -61,7 +61,7 @@ def save_stage(
         model: the network.
         training: how it was made.
     """
-    folder = Path(folder)
+    folder = at_home(folder)
     entries = _read_config(folder) if (folder / "config.json").exists() else {}
     weights = folder / f"{stage}.safetensors"
     save_tensors(weights, model.state_dict())
