@@ -9,9 +9,9 @@ from functools import partial
 import pytest
 from jobs import Job, Shards, process
 
+from legibility.data.shards import make_shards
 from legibility.errors import InvalidInputError, MissingExtraError, WorkerError
 from legibility.parallel import pool
-from legibility.shards import make_shards
 
 SQUARES = [(i, i**2) for i in range(20)]
 

@@ -12,19 +12,19 @@ from pathlib import Path
 import pytest
 
 from legibility.cli import main
-from legibility.evaluation.baseline_card import render_baseline_card
 from legibility.evaluation.bench_table import bench_section
-from legibility.evaluation.card import (
+from legibility.evaluation.comparison import METHODS
+from legibility.evaluation.distilled_table import SUFFIX, distilled_section
+from legibility.models.pretrained import pretrained_folder, pretrained_names
+from legibility.modulator import Modulator
+from legibility.report.baseline_card import render_baseline_card
+from legibility.report.card import (
     ablations_section,
     dial_section,
     execution_section,
     render_card,
 )
-from legibility.evaluation.comparison import METHODS
-from legibility.evaluation.distilled_table import SUFFIX, distilled_section
-from legibility.evaluation.tables import spectrum_section, table1_section, unseen_section
-from legibility.models.pretrained import pretrained_folder, pretrained_names
-from legibility.modulator import Modulator
+from legibility.report.tables import spectrum_section, table1_section, unseen_section
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -2,7 +2,8 @@ import torch
 from torch import nn
 
 from legibility.evaluation.machine import forward_cost, limits, machine_facts, operations
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from legibility.models.configuration import PathDiffuserConfig
+from legibility.models.path_diffuser import PathDiffuser
 
 
 def test_operations_of_known_layers():

@@ -9,7 +9,6 @@ from tyro.conf import arg
 
 from ..errors import InvalidInputError
 from ..evaluation.bench import BenchConfig, run_bench
-from ..evaluation.distilled_table import SUFFIX
 from .options import MODELS, OutputFile, flags, made
 from .output import (
     check_file,
@@ -23,7 +22,7 @@ from .output import (
 )
 
 _Bench = flags(BenchConfig)
-_MODELS = tuple(name + suffix for name in MODELS.values() for suffix in ("", SUFFIX))
+_MODELS = tuple(MODELS.values())
 
 _MADE = {
     "archive": "candidates_per_second",

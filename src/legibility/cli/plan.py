@@ -93,15 +93,13 @@ def plan(
     result = {
         "scene": place.to_dict(),
         "target": target,
-        "sigma": path.field.sigma,
-        "alpha": path.alpha,
-        "label": path.label,
+        "observer": path.observer.to_dict(),
         "paths": [
             dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)
         ],
     }
     if figure is not None:
-        from ..evaluation.figures import plan_figure
+        from ..figures.dial import plan_figure
 
         plan_figure(path, figure)
     if csv is not None:

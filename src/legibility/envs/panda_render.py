@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
 from ..checks import Array, count
-from ..colors import GOALS, INK
 from ..errors import InvalidInputError
 from ..scene import Scene
 from .arm import BLOCK
+from .colors import GOALS, INK
 from .panda_meshes import franka_meshes
 from .panda_model import import_mujoco, physics, specification
 

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
 from ..checks import Array
-from ..colors import GOALS
 from ..errors import InvalidInputError, MissingExtraError
 from .arm import BASE, BLOCK, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
 from .block_reach import BlockReach
+from .colors import GOALS
 
 __all__ = ["PandaGymBlockReach", "PandaGymBlockReachVector"]
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
 from ..checks import Array, count
-from ..colors import GOALS, INK, MUTED
 from ..errors import OutputError
 from ..scene import Scene
+from .colors import GOALS, INK, MUTED
 
 __all__ = ["Window", "draw_scene"]
 

@@ -14,7 +14,8 @@ from ..checks import count, positive
 from ..envs import vector_type
 from ..errors import InvalidInputError, MissingExtraError
 from ..modulator import BACKENDS, Modulator
-from ..training import PathTrainingConfig, Team, choose_device
+from ..training.configuration import PathTrainingConfig
+from ..training.team import Team, choose_device
 from . import workloads
 from .execution import step_milliseconds
 from .footprint import footprint, import_seconds

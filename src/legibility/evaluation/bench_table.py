@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from .wording import filled, threads_of
+from ..report.wording import filled, threads_of
 
 __all__ = ["bench_section"]
 

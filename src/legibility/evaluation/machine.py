@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..curves import NUM_WAYPOINTS
 from ..models.path_diffuser import PathDiffuser
-from ..training import Team
+from ..training.team import Team
 from .timing import Work, timed
 from .workloads import bench_scene, levels, settle
 

@@ -13,14 +13,20 @@ import torch
 
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS
-from ..dataset import Dataset, DatasetConfig, generate
+from ..data.configuration import DatasetConfig
+from ..data.dataset import Dataset, generate
 from ..envs import vector_type
+from ..models.configuration import PathDiffuserConfig
 from ..models.diffusion import noise_schedule
-from ..models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from ..models.path_diffuser import PathDiffuser
 from ..modulator import Modulator
 from ..motion.archive import build_archive
-from ..scene import Scene, stream_seed
-from ..training import PathBatches, PathTrainingConfig, Team, train
+from ..scene import Scene
+from ..seeds import stream_seed
+from ..training.configuration import PathTrainingConfig
+from ..training.loop import train
+from ..training.path import PathBatches
+from ..training.team import Team
 from .published import PublishedDiffuser
 from .timing import Work
 

@@ -17,7 +17,6 @@ from ..checks import (
     target_index,
 )
 from ..errors import InvalidInputError
-from ..scene import Scene
 
 __all__ = ["InformationPotentialField"]
 
@@ -57,11 +56,6 @@ class InformationPotentialField:
             )
         if not self._slope.any():
             raise InvalidInputError(f"sigma must let the goals be told apart, got {sigma}")
-
-    @classmethod
-    def of(cls, scene: Scene, sigma: float) -> InformationPotentialField:
-        """The field of a scene's goals under a uniform prior; the last ones are kept."""
-        return _of(scene, positive("sigma", sigma))
 
     @property
     def goals(self) -> Array:
@@ -133,8 +127,3 @@ class InformationPotentialField:
         axes = [low + centres * (high - low) for low, high in workspace.T]
         points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
         return self.potential(points, target)
-
-
-@functools.lru_cache(maxsize=64)  # each part of a plan asks for it
-def _of(scene: Scene, sigma: float) -> InformationPotentialField:
-    return InformationPotentialField(scene.goals, sigma)

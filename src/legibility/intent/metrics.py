@@ -20,8 +20,7 @@ from ..checks import (
 )
 from ..curves import arc_length, resample
 from ..errors import InvalidInputError
-from .field import InformationPotentialField
-from .observers import (
+from .belief import (
     COSTS,
     DEFAULT_BETA,
     Cost,
@@ -34,6 +33,7 @@ from .observers import (
     time_to_confidence,
     trajectory_cost,
 )
+from .field import InformationPotentialField
 
 __all__ = [
     "COSTS",

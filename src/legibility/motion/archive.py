@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, bounded, count, finite_array, positive, random_seed, target_index
+from ..checks import Array, count, finite_array, positive, random_seed, target_index
 from ..curves import farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.field import InformationPotentialField
-from ..intent.labels import LABELS, anchored_label, label_knots, rank_label
-from ..intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
-from ..scene import DEFAULT_SIGMA, Scene
+from ..intent.labels import label_knots
+from ..intent.metrics import SCORE_POINTS
+from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..scene import Scene
 from .bezier import bending_energy, bezier_trajectories, straight_controls
 
 __all__ = ["Archive", "CurveGrid", "build_archive", "random_controls"]
@@ -39,9 +40,7 @@ class Archive:
     Attributes:
         scene: the scene.
         target: index of the goal that is meant.
-        field: the observer that scored them.
-        alpha: decay of the score's weight.
-        label: `anchored` or `rank`.
+        observer: who scored and labelled them.
         controls: `(N, 4, D)` [m], control points of the cubic Béziers.
         trajectories: `(N, T, D)` [m], at equal arc length.
         descriptors: `(N, D)` [m], the most deviating point of each.
@@ -55,9 +54,7 @@ class Archive:
 
     scene: Scene
     target: int
-    field: InformationPotentialField
-    alpha: float
-    label: str
+    observer: Observer
     controls: Array
     trajectories: Array
     descriptors: Array
@@ -70,6 +67,11 @@ class Archive:
 
     def __len__(self) -> int:
         return len(self.scores)
+
+    @property
+    def field(self) -> InformationPotentialField:
+        """The observer's field of the scene."""
+        return self.observer.field(self.scene)
 
     @property
     def coverage(self) -> float:
@@ -92,7 +94,7 @@ class Archive:
 
     @property
     def _knots(self) -> tuple[Array, Array]:
-        if self.label == "rank":
+        if self.observer.label == "rank":
             return label_knots(self.scores, self.labels)
         return label_knots(np.append(self.scores, self.straight_score), np.append(self.labels, 0.0))
 
@@ -161,10 +163,8 @@ def build_archive(
     scene: Scene,
     target: int = 0,
     *,
+    observer: Observer = DEFAULT_OBSERVER,
     seed: int | np.random.SeedSequence = 0,
-    sigma: float | None = None,
-    alpha: float = DEFAULT_ALPHA,
-    label: str = "anchored",
     cells: int | None = None,
     random_candidates: int = 4096,
     max_candidates: int = 65_536,
@@ -175,10 +175,8 @@ def build_archive(
     Args:
         scene: the scene.
         target: index of the goal that is meant.
+        observer: who scores and labels them.
         seed: of the curves drawn.
-        sigma: the observer's σ [m]; `DEFAULT_SIGMA` of the dimension if not given.
-        alpha: decay of the score's weight.
-        label: `anchored` (ℓ = 0 is the straight line) or `rank` (the paper's).
         cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
         random_candidates: curves with random control points, drawn first.
         max_candidates: curves in all at most.
@@ -191,11 +189,8 @@ def build_archive(
     if not isinstance(scene, Scene):
         raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
     target = target_index(target, scene.num_goals)
-    if label not in LABELS:
-        raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {label!r}")
-    sigma = DEFAULT_SIGMA[scene.dim] if sigma is None else sigma
-    field = InformationPotentialField.of(scene, sigma)
-    alpha = bounded("alpha", alpha, 0)
+    if not isinstance(observer, Observer):
+        raise InvalidInputError(f"observer must be a legibility.Observer, got {observer!r}")
     cells = count("cells", DEFAULT_CELLS[scene.dim] if cells is None else cells, low=2)
     random_candidates = count("random_candidates", random_candidates)
     max_candidates = count("max_candidates", max_candidates, low=random_candidates)
@@ -222,21 +217,18 @@ def build_archive(
     filled = grid.filled
     controls = grid.controls[filled]
     trajectories = bezier_trajectories(controls, SCORE_POINTS)
-    scores = legibility_score(trajectories, field, target, alpha)
+    scores = observer.score(trajectories, scene, target)
     straight_score = float(scores[np.argmin(grid.energies[filled])])  # its energy is 0
-    labels = rank_label(scores) if label == "rank" else anchored_label(scores, straight_score)
     return Archive(
         scene=scene,
         target=target,
-        field=field,
-        alpha=alpha,
-        label=label,
+        observer=observer,
         controls=controls,
         trajectories=trajectories,
         descriptors=grid.descriptors[filled],
         energies=grid.energies[filled],
         scores=scores,
-        labels=labels,
+        labels=observer.labels(scores, straight_score),
         straight_score=straight_score,
         num_candidates=tried,
         cells_reached=int(grid.reached.sum()),
