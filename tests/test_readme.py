@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from legibility.bench.tables import bench_section
 from legibility.cli import main
 from legibility.evaluation.baseline_card import render_baseline_card
-from legibility.evaluation.bench_table import bench_section
 from legibility.evaluation.card import (
     ablations_section,
     dial_section,

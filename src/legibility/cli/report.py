@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from ..bench.tables import bench_section
 from ..errors import InvalidInputError
 from ..evaluation.baseline_card import render_baseline_card
-from ..evaluation.bench_table import bench_section
 from ..evaluation.card import (
     ablations_section,
     dial_section,

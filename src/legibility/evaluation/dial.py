@@ -16,11 +16,10 @@ from ..dataset import DatasetConfig
 from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..modulator import Modulator
-from ..parallel import pool
+from ..parallel import pool, threads
 from ..path import Path
 from ..scene import Scene, stream_seed
 from .statistics import rank_correlation, summary
-from .threads import one_thread
 
 __all__ = ["FIGURES", "DialConfig", "evaluate_dial", "worst"]
 
@@ -162,7 +161,7 @@ def evaluate_dial(
     }
 
 
-@one_thread()
+@threads(1)
 def _measure(
     modulator: Modulator, source: DatasetConfig, levels: Array, config: DialConfig, index: int
 ) -> dict[str, Any]:
@@ -241,7 +240,7 @@ def _executed(
     return score, np.stack([r.trajectory(200) for r in rollouts]), figures
 
 
-@one_thread()
+@threads(1)
 def plan_milliseconds(
     modulator: Modulator, scene: Scene, repeats: int = 200, **options: Any
 ) -> float:

@@ -21,11 +21,10 @@ from ..execution import Driver, Feedback, Policy, Replay, Rollout
 from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..motion.tracking import NOMINAL_GAIN, PathTracker
-from ..parallel import pool
+from ..parallel import pool, threads
 from ..path import Path
 from ..scene import Scene, stream_seed
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
-from .threads import one_thread
 
 __all__ = ["ROWS", "ExecutionConfig", "evaluate_execution"]
 
@@ -225,7 +224,7 @@ class _Course:
     levels: Array
     at_once: int
 
-    @one_thread()
+    @threads(1)
     def rollouts(self, task: _Task) -> list[Rollout]:
         row, part = ROWS[task.row], slice(task.first, task.first + self.at_once)
         plan_seed, policy_seed, env_seed = _seeds(self.config.seed, task.first)
@@ -334,7 +333,7 @@ def _seeds(seed: int, first: int) -> list[int]:
     return [int(word >> 2) for word in draw.generate_state(3, np.uint64)]
 
 
-@one_thread()
+@threads(1)
 def step_milliseconds(
     modulator: Modulator, scene: Scene, kind: type[BlockReachVector], repeats: int = 5
 ) -> float:
