@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from legibility.shards import shard_bytes
+from legibility.data.shards import shard_bytes
 
 
 class Job:

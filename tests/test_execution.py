@@ -10,7 +10,7 @@ import legibility as lg
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import InvalidInputError
 from legibility.execution import Feedback, Fleet, Replay, follow
-from legibility.path import Path
+from legibility.motion.path import Path
 
 NAME = "legibility/BlockReach2D-v0"
 LIMIT = 0.05

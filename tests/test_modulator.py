@@ -9,20 +9,21 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from legibility.execution import Feedback
 
 import legibility as lg
 from legibility.curves import path_curve
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import CheckpointError, InvalidInputError, InvalidSceneError, OutputError
-from legibility.execution import Feedback
 from legibility.intent.metrics import SCORE_POINTS
 from legibility.models.checkpoint import load_tensors, save_tensors
+from legibility.models.configuration import PathDiffuserConfig, PathPolicyConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
-from legibility.models.path_policy import PathPolicy, PathPolicyConfig
+from legibility.models.path_diffuser import PathDiffuser
+from legibility.models.path_policy import PathPolicy
 from legibility.models.pretrained import pretrained_names, save_stage
 from legibility.modulator import Modulator
-from legibility.path import Path, scene_archive
+from legibility.motion.path import Path, scene_archive
 from legibility.scene import DEFAULT_SIGMA
 
 torch.set_num_threads(1)
@@ -253,7 +254,7 @@ class TestCandidates:
             built.append((scene, target))
             return lg.build_archive(scene, target, **options, max_candidates=4096)
 
-        monkeypatch.setattr("legibility.path.build_archive", build)
+        monkeypatch.setattr("legibility.motion.path.build_archive", build)
         scene_archive.cache_clear()
         model = make()
         model.plan(SCENES[2], 0, LEVELS)
@@ -266,7 +267,7 @@ class TestCandidates:
         assert [target for _, target in built] == [0, 1]
 
     def test_only_the_last_archives_are_kept(self, monkeypatch):
-        monkeypatch.setattr("legibility.path.build_archive", lambda *_, **__: object())
+        monkeypatch.setattr("legibility.motion.path.build_archive", lambda *_, **__: object())
         scene_archive.cache_clear()
         model = make()
         for seed in range(40):

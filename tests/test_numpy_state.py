@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from legibility.data.configuration import DatasetConfig, DemonstrationsConfig
+from legibility.data.dataset import generate
+from legibility.data.demonstrations import demonstrate
+from legibility.drivers import Feedback
+from legibility.intent.belief import COSTS
 
 import legibility as lg
-from legibility.dataset import DatasetConfig, generate
-from legibility.demonstrations import DemonstrationsConfig, demonstrate
 from legibility.envs.block_reach_2d import BlockReach2DVector
-from legibility.execution import Feedback
-from legibility.intent.observers import COSTS
+from legibility.intent.observer import Observer
 from legibility.modulator import Modulator
 
 SCENES = {
@@ -50,7 +52,7 @@ def test_execute(modulators, driver):
     scenes = [SCENES["paper"], SCENES["many"]]
     env = BlockReach2DVector(2)
     env.reset(seed=0, options={"scene": scenes, "push": 0.1, "shift": 0.05})
-    for rollout in modulators[2].execute(env, legibility=[-1, 1], driver=driver):
+    for rollout in modulators[2].execute_many(env, legibility=[-1, 1], driver=driver):
         assert np.isfinite([rollout.score, rollout.achieved]).all()
 
 
@@ -64,11 +66,11 @@ def test_an_environment_at_rest():
 
 @pytest.mark.parametrize("label", ["anchored", "rank"])
 def test_archive(scene, label):
-    archive = lg.build_archive(scene, label=label)
+    archive = lg.build_archive(scene, observer=Observer(label=label))
     assert np.isfinite(archive.labels).all()
     assert np.isfinite(archive.label_of(archive.score_of([-1, 0.3, 1]))).all()
     assert archive.nearest(0.2) < len(archive)
-    lg.build_archive(scene, label=label, alpha=1000)
+    lg.build_archive(scene, observer=Observer(label=label, alpha=1000))
 
 
 @pytest.mark.parametrize("reach", [1e-200, 1, 1e3, 1e100])

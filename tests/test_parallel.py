@@ -8,11 +8,12 @@ import time
 from functools import partial
 
 import pytest
+import torch
 from jobs import Job, Shards, process
 
+from legibility.data.shards import make_shards
 from legibility.errors import InvalidInputError, MissingExtraError, WorkerError
-from legibility.parallel import pool
-from legibility.shards import make_shards
+from legibility.parallel import pool, threads
 
 SQUARES = [(i, i**2) for i in range(20)]
 
@@ -153,3 +154,14 @@ class TestRefuses:
         message = r"legibility\[cluster\]"
         with pytest.raises(MissingExtraError, match=message), pool(2, "local"):
             pass
+
+
+def test_threads_are_put_back():
+    before = torch.get_num_threads()
+    with threads(before + 1):
+        assert torch.get_num_threads() == before + 1
+        assert threads(1)(torch.get_num_threads)() == 1
+        assert torch.get_num_threads() == before + 1
+    with pytest.raises(ZeroDivisionError), threads(before + 1):
+        _ = 1 / 0
+    assert torch.get_num_threads() == before

@@ -9,13 +9,14 @@ from . import envs as envs  # registers the Gymnasium environments; making one l
 from . import errors
 from .intent import labels, metrics
 from .intent.field import InformationPotentialField
+from .intent.observer import Observer
 from .motion.archive import Archive, build_archive
+from .motion.path import Path
 from .scene import Scene
 
 if TYPE_CHECKING:
-    from .execution import Rollout
     from .modulator import Modulator
-    from .path import Path
+    from .rollout import Rollout
 
 __version__ = "0.1.0"
 
@@ -23,6 +24,7 @@ __all__ = [
     "Archive",
     "InformationPotentialField",
     "Modulator",
+    "Observer",
     "Path",
     "Rollout",
     "Scene",
@@ -33,8 +35,8 @@ __all__ = [
     "metrics",
 ]
 
-_LAZY = {"Modulator": "modulator", "Path": "path", "Rollout": "execution"}
-"""Loaded when asked for, since these take long (two of them load torch)."""
+_LAZY = {"Modulator": "modulator", "Rollout": "rollout"}
+"""Loaded on first use, since they load torch."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,36 +1,29 @@
-"""The two stages composed: from a scene, a target and ℓ to a path."""
+"""The two stages composed: from a scene, a target and ℓ to a path, and to a robot's motion."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace as replaced
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import (
-    Array,
-    count,
-    finite_array,
-    legibility_levels,
-    positive,
-    seed_or_entropy,
-    target_index,
-)
-from .curves import NUM_WAYPOINTS, path_curve
+from .checks import Array, count, legibility_levels, positive, seed_or_entropy, target_index
+from .drivers import Driver, Policy
+from .envs.fleet import Fleet, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
-from .execution import Driver, Fleet, Policy, Rollout, follow
-from .intent.field import InformationPotentialField
-from .intent.metrics import SCORE_POINTS, legibility_score
-from .models.frame import Frame, check_scale
-from .models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from .models.configuration import PathDiffuserConfig
+from .models.frame import check_scale
+from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
+from .models.path_sampler import PathSampler, Sampling
 from .models.pretrained import load_stages, pretrained_folder, save_stage
+from .models.provenance import TrainingRecord
 from .motion.archive import Archive
-from .path import Path, scene_archive, straight_waypoints
+from .motion.path import Path, scene_archive, straight_waypoints
+from .rollout import Rollout, follow
 from .scene import MIN_SEPARATION, Scene
 
 __all__ = ["BACKENDS", "Modulator"]
@@ -38,10 +31,6 @@ __all__ = ["BACKENDS", "Modulator"]
 BACKENDS = ("torch", "onnx")
 """What may run the networks."""
 
-_ATTEMPTS = 3
-_LESS = 0.03
-_CLEARLY = 0.05
-_LEAST_COST = 1e-12
 _AT_START, _BESIDE = 1e-4, 1e-5
 
 
@@ -53,13 +42,11 @@ class Modulator:
         path_policy: stage 2; without it motions are planned, not executed.
         name: of the weights.
         training: how each stage was made, by the names `path` and `policy`, for the model card.
-        backend: what runs the networks, `torch` or `onnx` (onnxruntime: the same results to
-            rounding, sooner); `onnx` keeps to the weights of now.
-
-    Attributes:
-        sampler: `PathDiffuser.sample`, as the backend runs it.
+        backend: what runs the networks: `torch`, or `onnx` (onnxruntime: faster, the same results
+            to rounding), which does not see later changes of the weights.
 
     Raises:
+        InvalidInputError: the stages have different dimensions, or an unknown backend.
         MissingExtraError: onnxruntime is asked for and not installed.
     """
 
@@ -68,7 +55,7 @@ class Modulator:
         path_diffuser: PathDiffuser,
         path_policy: PathPolicy | None = None,
         name: str = "unnamed",
-        training: dict[str, Any] | None = None,
+        training: Mapping[str, TrainingRecord | None] | None = None,
         backend: str = "torch",
     ) -> None:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
@@ -84,22 +71,18 @@ class Modulator:
         self.training = training or {}
         if backend not in BACKENDS:
             raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
-        self.sampler, self._actor = self.path_diffuser.sample, path_policy
+        sample, self._policy = path_diffuser.sample, path_policy
         if backend == "onnx":
             from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy
 
-            self.sampler = OnnxPathDiffuser(path_diffuser).sample
-            self._actor = path_policy and OnnxPathPolicy(path_policy)
+            sample = OnnxPathDiffuser(path_diffuser).sample
+            self._policy = path_policy and OnnxPathPolicy(path_policy)
+        self.sampler = PathSampler(path_diffuser, sample, name)
 
     @property
     def config(self) -> PathDiffuserConfig:
         """The settings of stage 1."""
         return self.path_diffuser.config
-
-    @property
-    def distilled(self) -> bool:
-        """Whether stage 1 is a student, see `distill_path`: it draws as it learned to, not else."""
-        return "teacher" in (self.training.get("path") or {})
 
     @classmethod
     def from_pretrained(
@@ -131,6 +114,10 @@ class Modulator:
         if self.path_policy is not None:
             save_stage(folder, "policy", self.path_policy, self.training.get("policy"))
 
+    def archive(self, scene: Scene, target: int = 0) -> Archive:
+        """The archive of a scene by which this model's labels are read; cached."""
+        return scene_archive(scene, target, self.config.observer)
+
     @np.errstate(under="ignore")
     def plan(
         self,
@@ -147,15 +134,15 @@ class Modulator:
 
         Args:
             scene: of the model's dimension.
-            target: index of the goal that is meant.
+            target: index of the intended goal.
             legibility: ℓ in [−1, 1], a number or `(B,)`.
             seed: of the paths drawn; None draws other paths each time.
-            num_candidates: paths drawn for each ℓ; all are scored exactly and the one whose
-                achieved label is nearest to ℓ is returned; at ±1 the most legible or ambiguous
-                one, whether or not the archive holds any like it. Between, more than one needs the
-                scene's archive, which is built once (about 0.15 s) and kept.
-            guidance: weight of classifier-free guidance at ±1; the model's own if not given.
-            steps: of the sampler; the model's own if not given.
+            num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
+                to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
+                Between, more than one needs the scene's archive, which is built once (about
+                0.15 s) and cached.
+            guidance: weight of classifier-free guidance at ±1; the model's if not given.
+            steps: of the sampler; the model's if not given.
 
         Raises:
             InvalidInputError: an argument is out of its range.
@@ -166,22 +153,26 @@ class Modulator:
         levels = legibility_levels(legibility)
         seed = seed_or_entropy("seed", seed)
         num_candidates = count("num_candidates", num_candidates)
-        guidance, steps = self._sampling(guidance, steps)
+        sampling = Sampling(guidance, steps).checked(self.config)
         asked = np.repeat(np.atleast_1d(levels), num_candidates)
-        draw = self._draw_on_its_side if num_candidates == 1 else self._draw
-        drawn = draw([scene], [target], asked, seed, guidance, steps)
-        if num_candidates > 1:
-            scores = self._path(scene, target, asked, drawn).score.reshape(-1, num_candidates)
-            best = self._nearest(scene, target, np.atleast_1d(levels), scores)
-            drawn = drawn[np.arange(len(best)) * num_candidates + best]
-        return self._path(scene, target, levels, drawn if levels.ndim else drawn[0])
+        if num_candidates == 1:
+            paths = self.sampler.draw_with_retries([scene], [target], asked, seed, sampling)
+        else:
+            paths = self.sampler.draw([scene], [target], asked, seed, sampling)
+            scores = Path.through(paths, scene, target, asked, self.config.observer).score
+            best = self._nearest(
+                scene, target, np.atleast_1d(levels), scores.reshape(-1, num_candidates)
+            )
+            paths = paths[np.arange(len(best)) * num_candidates + best]
+        waypoints = paths if levels.ndim else paths[0]
+        return Path.through(waypoints, scene, target, levels, self.config.observer)
 
     @np.errstate(under="ignore")
     def plan_many(
         self,
         scenes: Sequence[Scene],
-        targets: int | Sequence[int],
-        legibility: ArrayLike,
+        targets: int | Sequence[int] = 0,
+        legibility: ArrayLike = 1.0,
         *,
         seed: int | None = 0,
         num_candidates: int = 1,
@@ -192,12 +183,12 @@ class Modulator:
 
         Args:
             scenes: `B` of the model's dimension.
-            targets: index of the goal that is meant, one for all or `(B,)`.
+            targets: index of the intended goal, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             seed: of the paths drawn; None draws other paths each time.
             num_candidates: see `plan`.
-            guidance: weight of classifier-free guidance at ±1; the model's own if not given.
-            steps: of the sampler; the model's own if not given.
+            guidance: see `plan`.
+            steps: see `plan`.
 
         Raises:
             InvalidInputError: an argument is out of its range.
@@ -208,62 +199,109 @@ class Modulator:
             self._check_scene(scene)
         if not scenes:
             raise InvalidInputError("scenes must be at least one, got none")
-        wanted, seed = targets_for(len(scenes), targets), seed_or_entropy("seed", seed)
-        chosen = [target_index(t, s.num_goals) for s, t in zip(scenes, wanted, strict=True)]
+        indices = [
+            target_index(target, scene.num_goals)
+            for scene, target in zip(scenes, _for_each("targets", targets, scenes), strict=True)
+        ]
         levels = levels_for(len(scenes), legibility)
+        seed = seed_or_entropy("seed", seed)
+        sampling = Sampling(guidance, steps).checked(self.config)
         if count("num_candidates", num_candidates) > 1:
-            words = np.random.SeedSequence(seed).generate_state(len(scenes))
-            options: dict[str, Any] = {"guidance": guidance, "steps": steps}
+            seeds = np.random.SeedSequence(seed).generate_state(len(scenes)).tolist()
             return [
                 self.plan(
-                    scene, target, level, seed=int(word), num_candidates=num_candidates, **options
+                    scene, target, level, seed=own_seed, num_candidates=num_candidates,
+                    guidance=guidance, steps=steps,
                 )
-                for scene, target, level, word in zip(scenes, chosen, levels, words, strict=True)
-            ]
-        guidance, steps = self._sampling(guidance, steps)
-        drawn = self._draw_on_its_side(scenes, chosen, levels, seed, guidance, steps)
-        return [self._path(*each) for each in zip(scenes, chosen, levels, drawn, strict=True)]
+                for scene, target, level, own_seed in zip(
+                    scenes, indices, levels, seeds, strict=True
+                )
+            ]  # fmt: skip
+        paths = self.sampler.draw_with_retries(scenes, indices, levels, seed, sampling)
+        return [
+            Path.through(waypoints, scene, target, level, self.config.observer)
+            for waypoints, scene, target, level in zip(paths, scenes, indices, levels, strict=True)
+        ]
 
-    @np.errstate(under="ignore")
     def execute(
         self,
         env: Any,
-        target: int | Sequence[int] | None = None,
-        legibility: ArrayLike = 1.0,
+        target: int | None = None,
+        legibility: float = 1.0,
         *,
         seed: int | None = 0,
-        path: Path | Sequence[Path] | None = None,
+        path: Path | None = None,
         replan: bool = True,
         tolerance: float | None = None,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
         driver: Driver | None = None,
-    ) -> Rollout | list[Rollout]:
-        """Plan and move, closed loop, from where the environment stands until the episode ends.
+    ) -> Rollout:
+        """Plan and move one robot, closed loop, from its position until the episode ends.
 
         An environment that was never reset is reset with `seed` first.
 
         Args:
-            env: an environment of this package, or a vector of them (`gymnasium.make_vec`), whose
-                `B` robots are planned and moved together.
-            target: index of the goal that is meant, one for all or `(B,)`; the environment's own
-                if not given.
-            legibility: ℓ in [−1, 1], one for all or `(B,)`.
+            env: an environment of this package, in any wrappers that leave actions alone.
+            target: index of the intended goal; the environment's own if not given.
+            legibility: ℓ in [−1, 1].
             seed: of the paths and actions drawn; None draws others each time.
-            path: follow these, `B` of them, instead of planning; they must start at the robots.
-            replan: whether to plan again, with the same ℓ for what is left of the motion, where a
-                push has taken the robot off its path by more than `tolerance` or its goal was
-                moved; else it goes back to the path. Nearer to the goal than training ever started
-                the rest is straight.
+            path: the path to follow instead of planning one; it must start at the robot.
+            replan: whether to plan again, with the same ℓ for the rest of the motion, when a push
+                has taken the robot off its path by more than `tolerance` or its goal was moved;
+                without it the robot goes back to the path. Nearer to the goal than any start in
+                training, the rest is straight.
             tolerance: [m]; the largest action's length if not given.
-            num_candidates: paths drawn for each ℓ, see `plan`.
-            guidance: of stage 1, see `plan`.
-            steps: of stage 1's sampler, see `plan`.
-            driver: moves the robots instead of stage 2.
+            num_candidates: see `plan`.
+            guidance: see `plan`.
+            steps: see `plan`.
+            driver: moves the robot instead of stage 2.
 
-        Returns:
-            A rollout, or a list of `B` if `env` is a vector.
+        Raises:
+            InvalidInputError: an argument is out of its range or does not fit the environment.
+            CheckpointError: the model has no stage 2.
+        """
+        if is_vector(env):
+            raise InvalidInputError("env holds several robots: use execute_many")
+        (rollout,) = self.execute_many(
+            env, None if target is None else [target], legibility,
+            seed=seed, paths=None if path is None else [path], replan=replan, tolerance=tolerance,
+            num_candidates=num_candidates, guidance=guidance, steps=steps, driver=driver,
+        )  # fmt: skip
+        return rollout
+
+    @np.errstate(under="ignore")
+    def execute_many(
+        self,
+        env: Any,
+        targets: int | Sequence[int] | None = None,
+        legibility: ArrayLike = 1.0,
+        *,
+        seed: int | None = 0,
+        paths: Sequence[Path] | None = None,
+        replan: bool = True,
+        tolerance: float | None = None,
+        num_candidates: int = 1,
+        guidance: float | None = None,
+        steps: int | None = None,
+        driver: Driver | None = None,
+    ) -> list[Rollout]:
+        """`execute` for the `B` robots of a vector, which are planned and moved together.
+
+        Args:
+            env: a vector of environments (`gymnasium.make_vec`).
+            targets: index of the intended goal, one for all or `(B,)`; the environments' own if not
+                given.
+            legibility: ℓ in [−1, 1], one for all or `(B,)`.
+            seed: see `execute`.
+            paths: `B` paths to follow instead of planning; they must start at the robots.
+            replan: see `execute`.
+            tolerance: see `execute`.
+            num_candidates: see `plan`.
+            guidance: see `plan`.
+            steps: see `plan`.
+            driver: moves the robots instead of stage 2.
 
         Raises:
             InvalidInputError: an argument is out of its range or does not fit the environment.
@@ -271,133 +309,40 @@ class Modulator:
         """
         seed = seed_or_entropy("seed", seed)
         if driver is None:
-            if self._actor is None:
+            if self._policy is None:
                 raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
-            driver = Policy(self._actor, seed)
+            driver = Policy(self._policy, seed)
         fleet = Fleet(env, seed)
-        if fleet.workspace.shape[1] != self.config.dim:
-            raise InvalidInputError(
-                f"the model {self.name} moves in {self.config.dim}D, "
-                f"the environment is {fleet.workspace.shape[1]}D"
-            )
-        if self.path_policy is not None and fleet.limit != self.path_policy.config.limit:
-            raise InvalidInputError(
-                f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
-                f"the environment's limit is {fleet.limit} m"
-            )
+        self._check_fleet(fleet)
         off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for(fleet.size, legibility)
-        given = None if path is None else list(path) if isinstance(path, list | tuple) else [path]
-        if given is not None and (
-            len(given) != fleet.size or not all(isinstance(p, Path) for p in given)
+        if paths is not None and (
+            len(paths) != fleet.size or not all(isinstance(path, Path) for path in paths)
         ):
             raise InvalidInputError(
-                f"path must be a legibility.Path for each of {fleet.size} robots, got {len(given)}"
+                f"paths must be a legibility.Path for each of {fleet.size} robots, got {paths}"
             )
-        if target is not None:
-            fleet.set_targets(targets_for(fleet.size, target))
-        options: dict[str, Any] = {
-            "num_candidates": num_candidates, "guidance": guidance, "steps": steps
-        }  # fmt: skip
-        here = [
-            _moved(scene, position)
-            for scene, position in zip(fleet.scenes, fleet.positions, strict=True)
-        ]
-        paths: Any = given
-        if paths is None:
-            paths = self.plan_many(here, fleet.targets.tolist(), levels, seed=seed, **options)
+        if targets is not None:
+            fleet.set_targets(_for_each("targets", targets, fleet.scenes))
 
-        def plan_again(rows: list[int], positions: Array) -> list[Path]:
+        def plan(rows: list[int], positions: Array) -> list[Path]:
             scenes = fleet.scenes
-            here = [_moved(scenes[r], x) for r, x in zip(rows, positions, strict=True)]
-            targets = fleet.targets[rows].tolist()
-            found = self.plan_many(here, targets, levels[rows], seed=seed, **options)
-            return [_or_straight(p) for p in found]
-
-        rollouts = follow(
-            fleet, paths, driver,
-            plan_again=plan_again if replan else None, tolerance=off,
-        )  # fmt: skip
-        return rollouts if hasattr(env.unwrapped, "num_envs") else rollouts[0]
-
-    def _path(self, scene: Scene, target: int, levels: Array, drawn: Array) -> Path:
-        config = self.config
-        return Path.through(
-            drawn, scene, target, levels,
-            sigma=config.sigma, alpha=config.alpha, label=config.label,
-        )  # fmt: skip
-
-    def archive(self, scene: Scene, target: int = 0) -> Archive:
-        """The archive of a scene as this model's labels mean it; the last ones are kept."""
-        config = self.config
-        return scene_archive(scene, target, config.sigma, config.alpha, config.label)
-
-    def _sampling(
-        self, guidance: float | None, steps: int | None
-    ) -> tuple[float | None, int | None]:
-        if guidance is not None:
-            guidance = float(finite_array("guidance", guidance, ndim=0))
-        if steps is not None and count("steps", steps) > self.config.diffusion_steps:
-            raise InvalidInputError(
-                f"steps must be at most {self.config.diffusion_steps}, got {steps}"
-            )
-        own = (self.config.guidance, self.config.sampling_steps)
-        if self.distilled and (guidance not in (None, own[0]) or steps not in (None, own[1])):
-            raise InvalidInputError(
-                f"the model {self.name} was distilled: its guidance is {own[0]:g} and its steps "
-                f"{own[1]}, got {guidance} and {steps}"
-            )
-        return guidance, steps
-
-    def _draw_on_its_side(
-        self,
-        scenes: list[Scene],
-        targets: list[int],
-        levels: Array,
-        seed: int,
-        guidance: float | None,
-        steps: int | None,
-    ) -> Array:
-        """`_draw`, but what lies on the wrong side of the straight line is drawn again.
-
-        Where the best way round changes with ℓ, a draw may fall between two ways. With anchored
-        labels the straight line's score tells: what is asked to be legible must not cost more than
-        it, what is asked to be ambiguous not less. Each attempt asks for a little less. A model
-        without the field is not helped by the field here either.
-        """
-        drawn = self._draw(scenes, targets, levels, seed, guidance, steps)
-        if self.config.label != "anchored" or not self.config.field:
-            return drawn
-        for attempt in range(1, _ATTEMPTS + 1):
-            wrong = self._wrong_side(scenes, targets, levels, drawn)
-            if not len(wrong):
-                break
-            one = len(scenes) == 1
-            drawn[wrong] = self._draw(
-                scenes if one else [scenes[i] for i in wrong],
-                targets if one else [targets[i] for i in wrong],
-                levels[wrong] * (1 - _LESS) ** attempt,
-                seed ^ attempt, guidance, steps,
+            return self.plan_many(
+                [_from(scenes[row], start) for row, start in zip(rows, positions, strict=True)],
+                fleet.targets[rows].tolist(), levels[rows],
+                seed=seed, num_candidates=num_candidates, guidance=guidance, steps=steps,
             )  # fmt: skip
-        return drawn
 
-    def _wrong_side(
-        self, scenes: list[Scene], targets: list[int], levels: Array, drawn: Array
-    ) -> NDArray[np.intp]:
-        """Indices of the paths that are clearly on the other side of the straight line than ℓ."""
-        ratio = np.empty(len(levels))
-        rows = [slice(None)] if len(scenes) == 1 else [slice(i, i + 1) for i in range(len(levels))]
-        for row, scene, target in zip(rows, scenes, targets, strict=True):
-            field = InformationPotentialField.of(scene, self.config.sigma)
-            straight = np.linspace(scene.start, scene.goals[target], SCORE_POINTS)
-            curves = np.clip(path_curve(drawn[row], SCORE_POINTS), *scene.workspace)
-            curves = np.concatenate([curves, straight[None]])
-            costs = -legibility_score(curves, field, target, self.config.alpha)
-            ratio[row] = (costs[:-1] + _LEAST_COST) / (costs[-1] + _LEAST_COST)
-        return np.flatnonzero(np.log(ratio) * np.sign(levels) > _CLEARLY)
+        def plan_rest(rows: list[int], positions: Array) -> list[Path]:
+            return [_straight_if_near(path) for path in plan(rows, positions)]
+
+        chosen = plan(list(range(fleet.size)), fleet.positions) if paths is None else list(paths)
+        return follow(
+            fleet, chosen, driver, replan=plan_rest if replan else None, tolerance=off
+        )  # fmt: skip
 
     def _nearest(self, scene: Scene, target: int, levels: Array, scores: Array) -> NDArray[np.intp]:
-        """Index `(B,)` of the candidate that is nearest to each of `levels (B,)`.
+        """Index `(B,)` of the candidate nearest to each of `levels (B,)`.
 
         Labels end at ±1, scores do not: there it is the most extreme one.
         """
@@ -408,41 +353,6 @@ class Modulator:
             best[between] = np.argmin(np.abs(labels - levels[between, None]), axis=1)
         return best
 
-    @torch.inference_mode()
-    def _draw(
-        self,
-        scenes: list[Scene],
-        targets: list[int],
-        levels: Array,
-        seed: int,
-        guidance: float | None,
-        steps: int | None,
-    ) -> Array:
-        """One path for each of `levels (B,)`, `(B, K + 2, D)` [m]; its ends are exact.
-
-        In `B` scenes, or in one for all.
-        """
-        model = self.path_diffuser
-        size, dim = len(levels), self.config.dim
-        generator = torch.Generator().manual_seed(seed)
-        noise = torch.randn(size, NUM_WAYPOINTS, dim, generator=generator)
-        drawn = self.sampler(
-            model.conditions(scenes, targets),
-            torch.from_numpy(levels.astype(np.float32)),
-            noise,
-            guidance=guidance,
-            steps=steps,
-        )
-        if not torch.isfinite(drawn).all():
-            raise CheckpointError(f"the model {self.name} drew a path that is not finite")
-        found = drawn.double().numpy()
-        path = np.empty((size, NUM_WAYPOINTS + 2, dim))
-        rows = [slice(None)] if len(scenes) == 1 else list(range(size))
-        for row, scene, target in zip(rows, scenes, targets, strict=True):
-            path[row, 1:-1] = Frame.of(scene, target).frame_to_world(found[row])
-            path[row, 0], path[row, -1] = scene.start, scene.goals[target]
-        return path
-
     def _check_scene(self, scene: Scene) -> None:
         if not isinstance(scene, Scene):
             raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
@@ -452,43 +362,55 @@ class Modulator:
             )
         check_scale(scene, self.name)
 
-
-def targets_for(size: int, targets: Any) -> list[Any]:
-    """A target for each of `size`, of one for all or of as many."""
-    if not getattr(targets, "ndim", isinstance(targets, list | tuple)):
-        return [targets] * size
-    if len(targets) != size:
-        raise InvalidInputError(f"target must be one for all or {size}, got {len(targets)}")
-    return list(targets)
+    def _check_fleet(self, fleet: Fleet) -> None:
+        dim = fleet.workspace.shape[1]
+        if dim != self.config.dim:
+            raise InvalidInputError(
+                f"the model {self.name} moves in {self.config.dim}D, the environment is {dim}D"
+            )
+        if self.path_policy is not None and fleet.limit != self.path_policy.config.limit:
+            raise InvalidInputError(
+                f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
+                f"the environment's limit is {fleet.limit} m"
+            )
 
 
 def levels_for(size: int, legibility: ArrayLike) -> Array:
-    """ℓ `(size,)` of one for all or of as many."""
+    """ℓ `(size,)`, given one for all or one for each."""
     levels = legibility_levels(legibility)
     if levels.ndim and len(levels) != size:
         raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
     return np.broadcast_to(levels, (size,)).copy()
 
 
-def _moved(scene: Scene, start: Array) -> Scene:
-    """The scene as it is for a robot that now stands at `start (D,)` [m].
+def _for_each(name: str, value: Any, scenes: Sequence[Scene]) -> list[Any]:
+    """A value for each scene, given one for all or one for each."""
+    if np.ndim(value) == 0:
+        return [value] * len(scenes)
+    if len(value) != len(scenes):
+        raise InvalidInputError(f"{name} must be one for all or {len(scenes)}, got {len(value)}")
+    return list(value)
 
-    An arm is put at a scene's start as exactly as its joints go, and may be a little beyond a wall.
-    A robot that was pushed onto a goal is taken to be just beside it.
+
+def _from(scene: Scene, start: Array) -> Scene:
+    """The scene for a robot that now stands at `start (D,)` [m].
+
+    An arm reaches a scene's start only as exactly as its joints allow, and may be a little beyond a
+    wall. A robot that was pushed onto a goal is taken to stand just beside it.
     """
     if np.linalg.norm(start - scene.start) < _AT_START:
         return scene
     start, least = np.clip(start, *scene.workspace), _BESIDE * scene.diagonal
     if np.linalg.norm(scene.goals - start, axis=-1).min() < least:
         inward = scene.workspace.mean(axis=0) - start
-        inward[0] += 1e-9  # in the very middle any way leads inward
+        inward[0] += 1e-9  # in the very middle any direction leads inward
         start = start + 2 * least * inward / np.linalg.norm(inward)
     return Scene(start, scene.goals, scene.workspace)
 
 
-def _or_straight(path: Path) -> Path:
+def _straight_if_near(path: Path) -> Path:
     """The path, or the straight line where the goal is nearer than in any scene of training."""
     start, goal = path.waypoints[0], path.waypoints[-1]
     if np.linalg.norm(goal - start) >= 2 * MIN_SEPARATION * path.scene.diagonal:
         return path
-    return replace(path, waypoints=straight_waypoints(start, goal))
+    return replaced(path, waypoints=straight_waypoints(start, goal))

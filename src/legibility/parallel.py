@@ -29,7 +29,7 @@ import numpy as np
 from .checks import count
 from .errors import InvalidInputError, MissingExtraError, WorkerError
 
-__all__ = ["Each", "pool"]
+__all__ = ["Each", "pool", "threads"]
 
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
 """Of a function and items, pairs of an item's index and its result, in the order of completion."""
@@ -79,6 +79,22 @@ def pool(workers: int = 1, cluster: str | None = None) -> Iterator[Each]:
         raise InvalidInputError(f"the cluster at {cluster} has its own workers: leave workers out")
     with _dask_client(workers, cluster) as client:
         yield partial(_on_dask, client)
+
+
+@contextlib.contextmanager
+def threads(number: int) -> Iterator[None]:
+    """Compute on `number` threads of PyTorch within; as a decorator, within the function.
+
+    The number of threads changes times and the last digits of results. Both backends obey it.
+    """
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _in_processes(

@@ -14,12 +14,9 @@ from .errors import InvalidInputError, InvalidSceneError
 from .files import read_document, write_bytes, write_json
 
 __all__ = [
-    "DEFAULT_SIGMA",
     "DEFAULT_WORKSPACE",
     "MIN_SEPARATION",
-    "STREAMS",
     "Scene",
-    "stream_seed",
 ]
 
 DEFAULT_WORKSPACE = {
@@ -28,13 +25,6 @@ DEFAULT_WORKSPACE = {
 }
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
 
-DEFAULT_SIGMA = {2: 0.15, 3: 0.08}
-"""Spread of the observer's likelihood [m] by dimension."""
-
-STREAMS = ("train", "validation", "evaluation")
-"""Seed streams that never meet: what a model learned from, was tuned on, and is reported on."""
-
-_USES = ("scene", "archive", "choice", "plan", "demonstration")
 MIN_SEPARATION = 0.12
 """Least distance of two goals of a random scene, as a share of the workspace's diagonal; the start
 keeps twice that from the target."""
@@ -232,19 +222,6 @@ class Scene:
             gaps = np.linalg.norm(points[pairs[0]] - points[pairs[1]], axis=-1)
             if gaps.min() >= gap and np.linalg.norm(points[0] - points[1 + target]) >= 2 * gap:
                 return cls(points[0], points[1:])
-
-
-def stream_seed(stream: str, seed: int, index: int, use: str) -> np.random.SeedSequence:
-    """The seed of one use of item `index` of a stream, independent of all others.
-
-    Args:
-        stream: one of `STREAMS`.
-        seed: of the dataset or evaluation.
-        index: of the item.
-        use: `scene`, `archive`, `choice` (of trajectories), `plan` or `demonstration`.
-    """
-    key = _USES.index(use)
-    return np.random.SeedSequence([STREAMS.index(stream), seed, index], spawn_key=(key,))
 
 
 def _snapped(points: Array, workspace: Array, tolerance: float = _ROUNDING) -> Array:

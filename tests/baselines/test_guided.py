@@ -8,8 +8,9 @@ import torch
 
 import legibility as lg
 from legibility.baselines.guided import GuidedPolicy
+from legibility.models.configuration import GoalPolicyConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.goal_policy import GoalPolicy, GoalPolicyConfig
+from legibility.models.goal_policy import GoalPolicy
 from legibility.motion.tracking import PathTracker
 
 SCENES = [

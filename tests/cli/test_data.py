@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from legibility.dataset import Dataset
+from legibility.data.dataset import Dataset
 
 
 def test_describes(dataset, here, cli, capsys):

@@ -47,7 +47,7 @@ def test_execution(here, one_thread, cli, capsys):
 
 
 def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys):
-    monkeypatch.setattr("legibility.dataset.VALIDATION_SCENES", 2)
+    monkeypatch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
     monkeypatch.setattr("legibility.evaluation.dial.plan_milliseconds", lambda *_, **__: 1.5)
     flags = (
         "--scenes 1 --goals 2 --seed 1 --levels 3 --samples 1 --sampling-steps 1 --guidance 0"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import legibility as lg
 from legibility.cli.train import _line
-from legibility.dataset import Dataset
+from legibility.data.dataset import Dataset
 
 
 def test_report_and_weights(run, dataset):
@@ -46,7 +46,7 @@ def test_other_settings_in_the_same_folder(run, dataset, tiny, refused):
 def test_validation_is_made_if_none_is_given(
     dataset, here, cli, tiny, one_thread, monkeypatch, capsys
 ):
-    monkeypatch.setattr("legibility.dataset.VALIDATION_SCENES", 2)
+    monkeypatch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
     assert cli(f"train path --steps 1 {tiny} --out run --data", dataset) == 0
     made, data = Dataset.load("run/validation").config, Dataset.load(dataset).config
     assert (made.stream, made.scenes) == ("validation", 2)

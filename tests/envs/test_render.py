@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from PIL import ImageColor
 
 from legibility import Scene
-from legibility.colors import GOALS, INK
+from legibility.envs.colors import GOALS, INK
 from legibility.envs.render import draw_scene
 from legibility.errors import InvalidInputError
 

@@ -6,20 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from legibility.dataset import Dataset, DatasetConfig, generate
+from legibility.data.configuration import DatasetConfig
+from legibility.data.dataset import Dataset, generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.evaluation import ablations
-from legibility.evaluation.ablations import (
-    COLUMNS,
-    AblationsConfig,
-    evaluate_ablations,
-    variants,
-)
+from legibility.evaluation.ablations import COLUMNS, evaluate_ablations, variants
+from legibility.evaluation.configuration import AblationsConfig
 from legibility.evaluation.dial import FIGURES
+from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.pretrained import load_stages, save_stage
-from legibility.training import LOG
+from legibility.training.loop import LOG
 
 TINY = PathDiffuserConfig(channels=(8,), condition=16, encoder_width=8, resolution=16)
 SHORT = AblationsConfig(
@@ -53,7 +51,7 @@ def small():
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("legibility.dataset.VALIDATION_SCENES", 2)
+        patch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
         patch.setattr("legibility.evaluation.dial.plan_milliseconds", lambda *_, **__: 1.5)
         yield
     torch.set_num_threads(threads)

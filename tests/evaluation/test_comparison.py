@@ -22,20 +22,22 @@ from legibility.evaluation.comparison import (
     compare,
     measured,
 )
-from legibility.evaluation.spectrum import Spectrum, SpectrumConfig, evaluate_spectrum
-from legibility.evaluation.table1 import SCENES, TARGETS, Table1Config, evaluate_table1, paper_rows
-from legibility.evaluation.tables import (
+from legibility.evaluation.configuration import SpectrumConfig, Table1Config, UnseenConfig
+from legibility.evaluation.spectrum import Spectrum, evaluate_spectrum
+from legibility.evaluation.table1 import SCENES, TARGETS, evaluate_table1, paper_rows
+from legibility.evaluation.unseen import evaluate_unseen
+from legibility.models.configuration import GoalPolicyConfig
+from legibility.models.diffusion import noise_schedule
+from legibility.models.goal_policy import GoalPolicy
+from legibility.modulator import Modulator
+from legibility.parallel import pool
+from legibility.report.tables import (
     spectrum_section,
     table1_csv,
     table1_latex,
     table1_section,
     unseen_section,
 )
-from legibility.evaluation.unseen import UnseenConfig, evaluate_unseen
-from legibility.models.diffusion import noise_schedule
-from legibility.models.goal_policy import GoalPolicy, GoalPolicyConfig
-from legibility.modulator import Modulator
-from legibility.parallel import pool
 
 GUIDED = [name for name, method in METHODS.items() if method.guided]
 KIND = vector_type("2d", 2)

@@ -7,17 +7,20 @@ import json
 import numpy as np
 import pytest
 import torch
+from legibility.execution import Rollout
 
 import legibility as lg
 from legibility.curves import path_curve
-from legibility.dataset import DatasetConfig, paths_of
+from legibility.data.configuration import DatasetConfig
+from legibility.data.dataset import paths_of
 from legibility.errors import InvalidInputError
 from legibility.evaluation import dial
-from legibility.evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
-from legibility.execution import Rollout
+from legibility.evaluation.configuration import DialConfig
+from legibility.evaluation.dial import FIGURES, evaluate_dial, worst
 from legibility.intent.metrics import SCORE_POINTS, legibility_score
+from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from legibility.models.path_diffuser import PathDiffuser
 from legibility.modulator import Modulator, Path
 
 torch.set_num_threads(1)

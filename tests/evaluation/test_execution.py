@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from legibility.dataset import DatasetConfig
+from legibility.data.configuration import DatasetConfig
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import InvalidInputError
 from legibility.evaluation import execution
-from legibility.evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
+from legibility.evaluation.configuration import ExecutionConfig
+from legibility.evaluation.execution import ROWS, evaluate_execution
 from legibility.modulator import Modulator
 
 SMALL = ExecutionConfig(scenes=3, rollouts=18, seed=1)

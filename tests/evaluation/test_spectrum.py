@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from legibility.execution import Feedback, Fleet, follow
 from PIL import Image
 
 import legibility as lg
 from legibility.curves import spaced
-from legibility.dataset import paths_of
+from legibility.data.dataset import paths_of
 from legibility.envs import vector_type
 from legibility.errors import InvalidInputError, OutputError
 from legibility.evaluation.spectrum import Spectrum
-from legibility.evaluation.spectrum_figure import spectrum_figure
-from legibility.execution import Feedback, Fleet, follow
+from legibility.figures.spectrum import spectrum_figure
 from legibility.intent.metrics import potential_cost
 
 LEVELS = (-1.0, 0.0, 1.0)
@@ -58,7 +58,7 @@ def test_costs_are_those_of_the_motions(rollouts, tmp_path, monkeypatch):
     def keep(file, width, height):
         yield figure
 
-    monkeypatch.setattr("legibility.evaluation.spectrum_figure.figure_file", keep)
+    monkeypatch.setattr("legibility.figures.spectrum.figure_file", keep)
     spectrum_figure([Spectrum.of(rollouts[::-1], 0.04)], tmp_path / "x.png")
     line = figure.axes[-1].lines[0]
     np.testing.assert_array_equal(line.get_xdata(), LEVELS)

@@ -9,13 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from legibility.errors import CheckpointError, InvalidInputError
+from legibility.models.configuration import GoalPolicyConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.goal_policy import (
-    GoalPolicy,
-    GoalPolicyConfig,
-    goal_features,
-    guidance_weights,
-)
+from legibility.models.goal_policy import GoalPolicy, goal_features, guidance_weights
 
 SMALL = {"channels": (8, 16), "condition": 16}
 WORKSPACE = np.array([[-0.1, -0.1], [1.1, 1.1]])

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from legibility import Scene
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import InvalidInputError, MissingExtraError
+from legibility.models.configuration import PathDiffuserConfig, PathPolicyConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
-from legibility.models.path_policy import Observation, PathPolicy, PathPolicyConfig
+from legibility.models.path_diffuser import PathDiffuser
+from legibility.models.path_policy import Observation, PathPolicy
 from legibility.models.pretrained import pretrained_names
 from legibility.modulator import Modulator
 

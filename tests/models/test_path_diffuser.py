@@ -11,9 +11,10 @@ from legibility import InformationPotentialField, Scene
 from legibility.curves import NUM_WAYPOINTS
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.models.checkpoint import load_state
+from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import ddim, noise_schedule, sampling_timesteps
 from legibility.models.frame import DEPTH, Frame, vector_size
-from legibility.models.path_diffuser import PathDiffuser, PathDiffuserConfig
+from legibility.models.path_diffuser import PathDiffuser
 
 TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
 

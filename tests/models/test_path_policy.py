@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from legibility.errors import CheckpointError, InvalidInputError
+from legibility.models.configuration import PathPolicyConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.path_policy import Observation, PathPolicy, PathPolicyConfig
+from legibility.models.path_policy import Observation, PathPolicy
 from legibility.motion.tracking import PathTracker
 
 SMALL = {"channels": (8, 16), "condition": 16}

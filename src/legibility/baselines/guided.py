@@ -6,26 +6,25 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from ..checks import Array
+from ..drivers import RobotStates
 from ..models.goal_policy import GoalPolicy, goal_features, guidance_weights
-from ..motion.tracking import PathTracker
 from ..scene import Scene
 
 __all__ = ["GuidedPolicy"]
 
 
 class GuidedPolicy:
-    """A goal-conditioned policy that keeps away from what it would do for the other goals.
+    """A goal-conditioned policy, guided away from its own actions for the other goals.
 
     It follows no path. The guidance is that of the model's configuration: none for Diffusion
-    Policy; for Legibility Diffuser its weight falls by γ with every chunk that a robot executes.
+    Policy; for Legibility Diffuser its weight decays by γ with every chunk that a robot executes.
 
     Args:
         model: the policy.
-        scenes: of each of the `B` robots that it moves.
-        targets: `(B,)`, index of the goal that is meant in each.
+        scenes: the scene of each of `B` robots.
+        targets: `(B,)`, index of the intended goal of each.
         seed: of the actions drawn.
         steps: of the sampler; the model's own if not given.
     """
@@ -52,29 +51,27 @@ class GuidedPolicy:
             self.there[row, :number] = True
         self.chunks = np.zeros(len(scenes), dtype=np.intp)
 
-    def __call__(
-        self,
-        rows: NDArray[np.intp],
-        positions: Array,
-        previous: Array,
-        goals: Array,
-        tracker: PathTracker,
-    ) -> Array:
+    def __call__(self, robots: RobotStates) -> Array:
         """See `Driver`."""
-        config = self.model.config
+        config, rows = self.model.config, robots.rows
         guidance = config.guidance * config.guidance_decay ** self.chunks[rows].astype(np.float64)
         self.chunks[rows] += 1
         others = self.others[rows] if config.guidance else self.others[rows, :0]
-        seen = [goals[rows], *others.swapaxes(0, 1), *[None] * bool(config.guidance)]
+        known = [robots.goals, *others.swapaxes(0, 1), *[None] * bool(config.guidance)]
         features = [
-            goal_features(positions[rows], previous[rows], g, config.limit, self.workspaces[rows])
-            for g in seen
+            goal_features(
+                robots.positions, robots.previous, goal, config.limit, self.workspaces[rows]
+            )
+            for goal in known
         ]
         weights = np.ones((len(rows), 1))
         if config.guidance:
             weights = guidance_weights(guidance, config.guidance_share, self.there[rows])
-        noise = torch.randn(len(rows), config.chunk, config.dim, generator=self.generator)
+        noise = torch.randn(
+            len(rows), config.chunk, config.dim, generator=self.generator,
+            dtype=torch.float32, device="cpu",
+        )  # fmt: skip
         return self.model.act(
-            np.stack(features, axis=1), np.array([g is not None for g in seen]), weights, noise,
-            self.steps,
+            np.stack(features, axis=1), np.array([goal is not None for goal in known]), weights,
+            noise, self.steps,
         )[:, : config.execute]  # fmt: skip

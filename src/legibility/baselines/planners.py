@@ -1,4 +1,4 @@
-"""Paths that need no learning: the straight line, the archive's own, and search in the scene."""
+"""Paths without learning: the straight line, the archive's trajectories, and random search."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numpy as np
 
 from ..checks import count
 from ..curves import NUM_WAYPOINTS
-from ..intent.field import InformationPotentialField
-from ..intent.labels import anchored_label, rank_label
-from ..intent.metrics import SCORE_POINTS, legibility_score
+from ..intent.metrics import SCORE_POINTS
+from ..intent.observer import Observer
 from ..motion.archive import Archive, random_controls
 from ..motion.bezier import bezier_trajectories, straight_controls
-from ..path import Path, straight_waypoints
+from ..motion.path import Path, straight_waypoints
 from ..scene import Scene
 
 __all__ = ["archive_path", "candidates_within", "search", "straight_path"]
@@ -22,14 +21,10 @@ _ENDS = (64, 65_536)
 _REPEATS = 5
 
 
-def straight_path(
-    scene: Scene, target: int, level: float, *, sigma: float, alpha: float, label: str
-) -> Path:
-    """The most predictable path, whatever ℓ is asked."""
+def straight_path(scene: Scene, target: int, level: float, observer: Observer) -> Path:
+    """The most predictable path, for any ℓ."""
     points = straight_waypoints(scene.start, scene.target(target))
-    return Path.through(
-        points, scene, target, np.asarray(level), sigma=sigma, alpha=alpha, label=label
-    )
+    return Path.through(points, scene, target, np.asarray(level), observer)
 
 
 @np.errstate(under="ignore")
@@ -38,8 +33,7 @@ def archive_path(archive: Archive, level: float) -> Path:
     controls = archive.controls[[archive.nearest(level)]]
     return Path.through(
         bezier_trajectories(controls, NUM_WAYPOINTS + 2)[0],
-        archive.scene, archive.target, np.asarray(level),
-        sigma=archive.field.sigma, alpha=archive.alpha, label=archive.label,
+        archive.scene, archive.target, np.asarray(level), archive.observer,
     )  # fmt: skip
 
 
@@ -48,27 +42,22 @@ def search(
     scene: Scene,
     target: int,
     level: float,
+    observer: Observer,
     num_candidates: int,
     seed: int,
-    *,
-    sigma: float,
-    alpha: float,
-    label: str,
 ) -> Path:
-    """The nearest to ℓ of random cubic Béziers that are drawn for this very scene.
+    """The nearest to ℓ of random cubic Béziers in this scene.
 
-    They are drawn as the archive draws them, those that leave the workspace are dropped, and the
-    label is that among the rest, so nothing else is known of the scene.
+    They are drawn as the archive draws them. Those that leave the workspace are dropped, and the
+    rest are labelled by their rank among each other.
 
     Args:
         scene: any.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         level: ℓ in [−1, 1].
+        observer: who scores and labels them.
         num_candidates: curves drawn.
         seed: of the curves.
-        sigma: of the observer [m].
-        alpha: decay of the score's weight.
-        label: `anchored` or `rank`.
     """
     rng = np.random.default_rng(seed)
     straight = straight_controls(scene.start, scene.target(target))
@@ -77,20 +66,16 @@ def search(
     curves = bezier_trajectories(controls, SCORE_POINTS)
     inside = np.append(True, scene.contains(curves[1:]).all(-1))
     controls, curves = controls[inside], curves[inside]
-    field = InformationPotentialField.of(scene, sigma)
-    scores = legibility_score(curves, field, target, alpha)
-    labels = rank_label(scores) if label == "rank" else anchored_label(scores, float(scores[0]))
-    best = np.argmin(np.abs(labels - level))
+    scores = observer.score(curves, scene, target)
+    best = np.argmin(np.abs(observer.labels(scores, float(scores[0])) - level))
     return Path.through(
         bezier_trajectories(controls[[best]], NUM_WAYPOINTS + 2)[0],
-        scene, target, np.asarray(level), sigma=sigma, alpha=alpha, label=label,
+        scene, target, np.asarray(level), observer,
     )  # fmt: skip
 
 
-def candidates_within(
-    milliseconds: float, scene: Scene, target: int, *, sigma: float, alpha: float, label: str
-) -> int:
-    """How many curves `search` can draw in a time [ms], on the threads that it may use.
+def candidates_within(milliseconds: float, scene: Scene, target: int, observer: Observer) -> int:
+    """The number of curves that `search` can draw in a time [ms].
 
     The largest power of √2 from 64 to 65,536 whose median time is not longer.
     """
@@ -99,7 +84,7 @@ def candidates_within(
         times = []
         for seed in range(_REPEATS):
             start = time.perf_counter()
-            search(scene, target, 1.0, round(size), seed, sigma=sigma, alpha=alpha, label=label)
+            search(scene, target, 1.0, observer, round(size), seed)
             times.append(1e3 * (time.perf_counter() - start))
         if np.median(times) > milliseconds:
             break

@@ -33,7 +33,7 @@ _VERBS = {
     "evaluate unseen": "the same methods in scenes never seen, over each scene's oracle",
     "evaluate spectrum": "the paper's figure 3: motions over the whole dial and their cost",
     "evaluate ablations": "measure what each part of stage 1 is worth, by small runs without it",
-    "bench": "measure how fast it is here, beside the published configuration",
+    "bench": "measure the speed of planning, control and training on this machine",
     "report": "render measurements as tables, figures and model cards",
     "doctor": "tell what is installed, what works here, and what to do about the rest",
 }

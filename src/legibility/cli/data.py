@@ -10,13 +10,16 @@ import numpy as np
 from rich.table import Table
 from tyro.conf import arg
 
-from ..dataset import Dataset, DatasetConfig, generate
-from ..demonstrations import DEMONSTRATIONS, Demonstrations, DemonstrationsConfig, demonstrate
+from ..data.configuration import DatasetConfig, DemonstrationsConfig
+from ..data.dataset import Dataset, generate, shard_names
+from ..data.demonstrations import DEMONSTRATIONS, Demonstrations, demonstrate
 from ..errors import InvalidInputError
+from ..intent.observer import Observer
 from .options import Folder, OutputFile, Workers, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
 
-_Flags = flags(DatasetConfig)
+_Flags = flags(DatasetConfig, "observer")
+_Observer = flags(Observer)
 _Demonstrations = flags(DemonstrationsConfig)
 _BINS = 20
 _BAR = 40
@@ -24,6 +27,7 @@ _BAR = 40
 
 def data(
     dataset: Annotated[Any, arg(constructor=_Flags)],
+    observer: Annotated[Any, arg(constructor=_Observer)],
     controller: Annotated[Any, arg(constructor=_Demonstrations)],
     workers: Workers,
     out: Folder = None,
@@ -40,6 +44,7 @@ def data(
 
     Args:
         dataset: what the dataset is made of.
+        observer: whose scores and labels.
         controller: what the demonstrations are made of.
         workers: who makes it.
         out: folder of the dataset to make.
@@ -51,7 +56,7 @@ def data(
         raise InvalidInputError("give either --out DIR, to make a dataset, or --info DIR")
     check_file(json, "JSON file")
     if out is not None:
-        settings = made(DatasetConfig, dataset)
+        settings = made(DatasetConfig, dataset, observer=made(Observer, observer))
         shown = made(DemonstrationsConfig, controller)
         if figure is not None:
             raise InvalidInputError("--figure belongs to --info")
@@ -68,7 +73,7 @@ def data(
         folder = out
     else:
         assert info is not None
-        if dataset != _Flags() or controller != _Demonstrations():
+        if dataset != _Flags() or observer != _Observer() or controller != _Demonstrations():
             raise InvalidInputError("--info describes a dataset as it was made; leave the rest out")
         folder = info
         made_or_read = Dataset.load(folder)
@@ -85,10 +90,11 @@ def data(
 
 
 def _draw(dataset: Dataset, figure: Path) -> None:
-    from ..evaluation.figures import archive_figure
+    from ..figures.dial import archive_figure
 
-    scene, archive = dataset.config.scene(0)
-    archive_figure(scene, 0, archive.trajectories, archive.labels, dataset.labels, figure)
+    config = dataset.config
+    archive = config.source.archive(0, config.observer, config.cells)
+    archive_figure(archive.scene, 0, archive.trajectories, archive.labels, dataset.labels, figure)
 
 
 def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
@@ -101,7 +107,7 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
         "scenes": len(dataset.scenes),
         "trajectories": labels.size,
         "sha256": dataset.digest,
-        "bytes": sum((folder / n).stat().st_size for n in dataset.config.shard_names),
+        "bytes": sum((folder / n).stat().st_size for n in shard_names(dataset.config)),
         "goals": dict(zip(goals.tolist(), scenes, strict=True)),
         "coverage": {"mean": summary["coverage"].mean(), "min": summary["coverage"].min()},
         "elites": {"mean": summary["elites"].mean(), "min": summary["elites"].min()},

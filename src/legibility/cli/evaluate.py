@@ -8,16 +8,24 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from ..dataset import Dataset
+from ..data.dataset import Dataset
 from ..envs import environment_dim
 from ..errors import CheckpointError, InvalidInputError
-from ..evaluation.ablations import COLUMNS, AblationsConfig, evaluate_ablations
+from ..evaluation.ablations import COLUMNS, evaluate_ablations
 from ..evaluation.comparison import METHODS, METRICS, TESTED
-from ..evaluation.dial import FIGURES, DialConfig, evaluate_dial, worst
-from ..evaluation.execution import ROWS, ExecutionConfig, evaluate_execution
-from ..evaluation.spectrum import Spectrum, SpectrumConfig, evaluate_spectrum
-from ..evaluation.table1 import TARGETS, Table1Config, evaluate_table1
-from ..evaluation.unseen import UnseenConfig, evaluate_unseen
+from ..evaluation.configuration import (
+    AblationsConfig,
+    DialConfig,
+    ExecutionConfig,
+    SpectrumConfig,
+    Table1Config,
+    UnseenConfig,
+)
+from ..evaluation.dial import FIGURES, evaluate_dial, worst
+from ..evaluation.execution import ROWS, evaluate_execution
+from ..evaluation.spectrum import Spectrum, evaluate_spectrum
+from ..evaluation.table1 import TARGETS, evaluate_table1
+from ..evaluation.unseen import evaluate_unseen
 from ..models.goal_policy import GoalPolicy
 from ..models.pretrained import load_stages, pretrained_folder
 from ..modulator import Modulator
@@ -68,7 +76,7 @@ def dial(
         result = evaluate_dial(modulator, settings, **vars(workers), progress=progress)
     write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     if figure is not None:
-        from ..evaluation.figures import dial_figure
+        from ..figures.dial import dial_figure
 
         dial_figure(result, figure)
 
@@ -280,7 +288,7 @@ def spectrum(
         result = evaluate_spectrum(modulator, settings, progress=progress)
     write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     if figure is not None:
-        from ..evaluation.spectrum_figure import spectrum_figure
+        from ..figures.spectrum import spectrum_figure
 
         spectrum_figure([Spectrum.of_result(result, letter) for letter in TARGETS], figure)
 

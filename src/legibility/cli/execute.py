@@ -42,7 +42,7 @@ def execute(
 
     Args:
         scene: a file, .yaml or .json, with the keys start and goals.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
         model: name of weights that came with the package, or a folder; those of the scene's
             dimension if not given.
@@ -64,7 +64,7 @@ def execute(
     from ..envs import vector_type
     from ..errors import InvalidInputError
     from ..evaluation.statistics import clear_step
-    from ..execution import Rollout
+    from ..rollout import Rollout
     from ..scene import Scene
 
     asked = levels(legibility)
@@ -76,7 +76,7 @@ def execute(
     check_file(json, "JSON file")
     check_file(csv, "CSV file")
     if figure is not None or video is not None:
-        from ..evaluation.film import check_film, check_number
+        from ..figures.film import check_film, check_number
 
         check_number(len(asked))
         if video is not None:
@@ -98,10 +98,9 @@ def execute(
     options = {"noise": noise, "push": push, "shift": shift}
     # The same hidden properties and disturbance in each, so that ℓ alone makes the difference.
     robots.reset(seed=[seed] * len(asked), options={"scene": place, "target": target, **options})
-    rollouts = modulator.execute(
+    rollouts = modulator.execute_many(
         robots, legibility=asked, seed=seed, replan=replan, num_candidates=candidates
     )
-    assert isinstance(rollouts, list)
     robots.close()
 
     def clear_after(rollout: Rollout) -> float | None:
@@ -145,24 +144,22 @@ def execute(
     result = {
         "scene": place.to_dict(),
         "target": target,
-        "sigma": first.field.sigma,
-        "alpha": first.alpha,
-        "label": first.label,
+        "observer": first.observer.to_dict(),
         "rollouts": rows,
     }
     write_report(json, seed=seed, config=config, model=model_record(model), result=result)
     if figure is not None:
-        from ..evaluation.film import execution_figure
+        from ..figures.film import execution_figure
 
         execution_figure(rollouts, figure)
     if spectrum is not None:
         from ..evaluation.spectrum import Spectrum
-        from ..evaluation.spectrum_figure import spectrum_figure
         from ..evaluation.table1 import SCENES
+        from ..figures.spectrum import spectrum_figure
 
         spectrum_figure([Spectrum.of(rollouts, SCENES[place.dim].spacing)], spectrum)
     if video is not None:
-        from ..evaluation.film import execution_film
+        from ..figures.film import execution_film
 
         with progress_bar("frames") as progress:
             execution_film(rollouts, video, progress=progress)

@@ -46,7 +46,7 @@ def plan(
 
     Args:
         scene: a file, .yaml or .json, with the keys start, goals and if wanted workspace.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
         model: name of weights that came with the package, or a folder; those of the scene's
             dimension if not given.
@@ -93,9 +93,7 @@ def plan(
     result = {
         "scene": place.to_dict(),
         "target": target,
-        "sigma": path.field.sigma,
-        "alpha": path.alpha,
-        "label": path.label,
+        "observer": path.observer.to_dict(),
         "paths": [
             dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)
         ],
@@ -106,7 +104,7 @@ def plan(
         write_trajectories(csv, [f"{level:g}" for level in asked], trajectories)
     write_report(json, seed=seed, config=config, model=model_record(model), result=result)
     if figure is not None:
-        from ..evaluation.figures import plan_figure
+        from ..figures.dial import plan_figure
 
         plan_figure(path, figure)
 

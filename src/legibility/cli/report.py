@@ -10,29 +10,28 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from ..bench.tables import bench_section
 from ..errors import InvalidInputError
-from ..evaluation.baseline_card import render_baseline_card
-from ..evaluation.bench_table import bench_section
-from ..evaluation.card import (
+from ..evaluation.comparison import METHODS
+from ..evaluation.spectrum import Spectrum
+from ..figures.dial import dial_figure
+from ..figures.spectrum import spectrum_figure
+from ..files import read_text, write_bytes
+from ..report.baseline_card import render_baseline_card
+from ..report.card import (
     ablations_section,
     dial_section,
     execution_section,
     render_card,
     replace_table,
 )
-from ..evaluation.comparison import METHODS
-from ..evaluation.distilled_table import SUFFIX, distilled_section
-from ..evaluation.figures import dial_figure
-from ..evaluation.spectrum import Spectrum
-from ..evaluation.spectrum_figure import spectrum_figure
-from ..evaluation.tables import (
+from ..report.tables import (
     spectrum_section,
     table1_csv,
     table1_latex,
     table1_section,
     unseen_section,
 )
-from ..files import read_text, write_bytes
 from .options import Folder, OutputFile
 from .output import check_folder, show
 
@@ -83,18 +82,12 @@ def report(
                 figures += _figures(kind, file, document["result"])
             texts[file.with_suffix(".md")] = f"{section}\n"
             sections.append((file, document, section))
-            beside = name.endswith(SUFFIX) and name.removesuffix(SUFFIX) in found
-            if page is not None and not (beside and kind in _OF_WEIGHTS):
+            if page is not None:
                 page = replace_table(page, file.stem, section)
         if weights is not None and (weights / name).is_dir():
             config = _read(weights / name / "config.json")
             with _as_is_written(f"cannot make the card of {name}"):
                 texts[weights / name / "README.md"] = render_card(name, config, documents)
-    with _as_is_written(f"the dials in {results} are not what `evaluate` writes"):
-        distilled = distilled_section(found)
-    if distilled:
-        texts[results / "distilled.md"] = f"{distilled}\n"
-        page = page and replace_table(page, "distilled", distilled)
     if weights is not None:
         texts |= _baseline_cards(weights, found)
 
@@ -119,10 +112,6 @@ _KINDS: dict[str, Callable[[dict[str, Any]], str]] = {
     "ablations": ablations_section,
     "bench": bench_section,
 }
-
-
-_OF_WEIGHTS = ("dial", "closed-loop", "execution", "transfer")
-"""Kinds of which a page shows those of distilled weights in one table."""
 
 
 @contextlib.contextmanager

@@ -49,7 +49,7 @@ def score(
     Args:
         trajectories: a CSV file.
         scene: a scene file, .yaml or .json.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         sigma: the observer's σ [m]; 0.15 in 2D and 0.08 in 3D if not given.
         alpha: decay of the score's weight over progress.
         beta: rationality [1/m] of Dragan's observer.
@@ -57,31 +57,30 @@ def score(
         json: everything as JSON.
     """
     from ..checks import target_index
-    from ..intent.field import InformationPotentialField
     from ..intent.metrics import evaluate_trajectory
+    from ..intent.observer import Observer
     from ..motion.archive import build_archive
-    from ..scene import DEFAULT_SIGMA, Scene
+    from ..scene import Scene
     from .trajectories import read_trajectories
 
     check_file(json, "JSON file")
     place = Scene.load(scene)
     goal = place.goals[target_index(target, place.num_goals)]
-    field = InformationPotentialField(
-        place.goals, DEFAULT_SIGMA[place.dim] if sigma is None else sigma
-    )
+    observer = Observer(sigma, alpha, label).resolved(place.dim)
+    field = observer.field(place)
     curves = read_trajectories(trajectories, place)
     rated = {
         name: {k: float(v) for k, v in evaluate_trajectory(c, field, target, alpha, beta).items()}
         for name, c in curves.items()
     }
-    archive = build_archive(place, target, sigma=field.sigma, alpha=alpha, label=label)
+    archive = build_archive(place, target, observer=observer)
     for name, figures in rated.items():
         achieved = float(archive.label_of(figures["legibility_score"]))
         gaps = np.linalg.norm(curves[name][[0, -1]] - [place.start, goal], axis=-1)
         rated[name] = {"achieved_label": achieved, **figures,
                        "start_gap": float(gaps[0]), "target_gap": float(gaps[1])}  # fmt: skip
 
-    config = {"target": target, "sigma": field.sigma, "alpha": alpha, "beta": beta, "label": label}
+    config = {"target": target, "observer": observer.to_dict(), "beta": beta}
     result = {
         "scene": place.to_dict(),
         "trajectories": [

@@ -13,28 +13,27 @@ import torch
 from torch import nn
 from tyro.conf import arg
 
-from ..dataset import Dataset, DatasetConfig, generate
-from ..demonstrations import Demonstrations
+from ..data.configuration import DatasetConfig
+from ..data.dataset import Dataset, generate
+from ..data.demonstrations import Demonstrations
 from ..errors import CheckpointError, InvalidInputError
 from ..files import file_hash
-from ..models.goal_policy import GoalPolicyConfig
-from ..models.path_diffuser import PathDiffuserConfig
-from ..models.path_policy import PathPolicyConfig
+from ..models.configuration import GoalPolicyConfig, PathDiffuserConfig, PathPolicyConfig
 from ..models.pretrained import load_stages, pretrained_folder, save_stage
-from ..training import (
+from ..models.provenance import TeacherRecord, TrainingRecord
+from ..training.configuration import (
     FIXED_BY_DATA,
-    LOG,
     DistillationConfig,
     PathTrainingConfig,
     PolicyTrainingConfig,
-    Team,
     TrainingConfig,
-    distill_path,
-    train_goal,
-    train_path,
-    train_policy,
-    tune_guidance,
 )
+from ..training.distillation import distill_path
+from ..training.goal import train_goal, tune_guidance
+from ..training.loop import LOG
+from ..training.path import train_path
+from ..training.policy import train_policy
+from ..training.team import Team
 from .options import Folder, OutputFile, Where, Workers, flags, made
 from .output import (
     check_file,
@@ -75,7 +74,7 @@ class Files:
 
 
 _PathTraining = flags(PathTrainingConfig)
-_PathModel = flags(PathDiffuserConfig, *FIXED_BY_DATA)
+_PathModel = flags(PathDiffuserConfig, *FIXED_BY_DATA, "distilled")
 _Distillation = flags(DistillationConfig, "dropout")
 _PolicyTraining = flags(PolicyTrainingConfig)
 _PolicyModel = flags(PathPolicyConfig, "dim", "limit")
@@ -151,12 +150,12 @@ def distill(
     facts = {
         "data": dataset.config.to_dict(),
         "digest": dataset.digest,
-        "teacher": {
-            "sha256": file_hash(folder / "path.safetensors"),
-            "training": made_by["path"],
-            "sampling_steps": stages["path"].config.sampling_steps,
-            "guidance": stages["path"].config.guidance,
-        },
+        "teacher": TeacherRecord(
+            sha256=file_hash(folder / "path.safetensors"),
+            sampling_steps=stages["path"].config.sampling_steps,
+            guidance=stages["path"].config.guidance,
+            training=made_by["path"],
+        ),
     }
 
     def run(progress: Callable[..., None]) -> nn.Module:
@@ -227,10 +226,9 @@ def legibility_diffuser(
 ) -> None:
     """Train the baseline Legibility Diffuser, then tune its guidance on the validation scenes.
 
-    It is a goal-conditioned policy whose goal is sometimes dropped in training. All combinations of
-    weight, decay and share of the guidance that were tried are recorded in the weights' config.json
-    and in the JSON, with what was measured. Interrupted, the same command resumes from the last
-    checkpoint.
+    It is a goal-conditioned policy whose goal is sometimes dropped in training. The JSON records
+    every combination of weight, decay and share of the guidance that was tried, with its
+    measurements. Interrupted, the same command resumes from the last checkpoint.
 
     Args:
         files: what is read and written.
@@ -264,17 +262,20 @@ def _train_on_demonstrations(
         "digest": demonstrations.digest,
     }
 
+    tuning: list[dict[str, float]] = []
+
     def run(progress: Callable[..., None]) -> nn.Module:
         trained = train_it(
             demonstrations, checks, files.out, settings, progress=progress, **vars(where), **model
         )
         if tune and team.main:
             with progress_bar("combinations of guidance") as tuned:
-                chosen, facts["tuning"] = tune_guidance(trained, checks, tuned)
+                chosen, rows = tune_guidance(trained, checks, tuned)
             trained.config = replace(trained.config, **chosen)
+            tuning.extend(rows)
         return trained
 
-    _train(stage, run, settings, facts, checks.digest, files, team)
+    _train(stage, run, settings, facts, checks.digest, files, team, tuning)
 
 
 def _train(
@@ -285,6 +286,7 @@ def _train(
     validation: str,
     files: Files,
     team: Team,
+    tuning: list[dict[str, float]] | None = None,
 ) -> None:
     """Train a stage under a progress bar, save its weights and tell what became of it."""
     with progress_bar("steps") as progress:
@@ -311,14 +313,21 @@ def _train(
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
-    save_stage(files.saved, stage, trained, {**facts, "training": asdict(settings), **measured})
+    record = TrainingRecord(training=asdict(settings), **facts, **measured)
+    save_stage(files.saved, stage, trained, record)
     network: Any = trained.config
     write_report(
         files.json,
         seed=settings.seed,
         config={"training": asdict(settings), stage: network.to_dict()},
         model=model_record(str(files.saved)),
-        result={"data": facts["digest"], "validation": validation, **measured, "last": last},
+        result={
+            "data": facts["digest"],
+            "validation": validation,
+            **measured,
+            "last": last,
+            **({"tuning": tuning} if tuning else {}),
+        },
     )
     title = f"{measured['parameters']} parameters after {settings.steps} steps"
     rows = table(title, "figure", "last", text_columns=1)

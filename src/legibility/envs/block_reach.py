@@ -43,10 +43,13 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         positions: `(B, D)` [m].
         velocities: `(B, D)` [m], the displacements of the last step, a push left out.
         scenes: the scenes as they are now; their start is where the episode started.
-        targets: `(B,)`, index of the goal that is meant.
+        targets: `(B,)`, index of the intended goal.
         done: `(B,)` bool, ended by success or by the limit on steps.
         success: `(B,)` bool, ended by success.
-        counts: what is counted over an episode, `(B,)` each.
+        steps: `(B,)`, control steps of the episode.
+        commands: `(B, D)` [m], the actions of the last step as they were received.
+        wall_contact: `(B,)` bool, whether a wall stopped the robot in the last step.
+        counts: events over an episode by name, `(B,)` each.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's own form)
@@ -101,12 +104,13 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self.scenes: list[Scene] = []
         self.targets = np.zeros(num_envs, dtype=np.int64)
-        self.positions, self.velocities = np.zeros((2, num_envs, self.dim))
-        self.done, self.success, self._due = np.zeros((3, num_envs), dtype=bool)
+        self.positions, self.velocities, self.commands = np.zeros((3, num_envs, self.dim))
+        self.done, self.success, self._due, self.wall_contact = np.zeros((4, num_envs), dtype=bool)
+        self.steps = np.zeros(num_envs, dtype=np.int64)
         self.counts = {name: np.zeros(num_envs, dtype=np.int64) for name in self.counted}
         self._noise = np.zeros((num_envs, 1))
         self._push, self._shift, self._starts = np.zeros((3, num_envs, self.dim))
-        self._travelled, self._steps = np.zeros((2, num_envs))
+        self._travelled = np.zeros(num_envs)
 
     @property
     def joint_angles(self) -> Array:
@@ -200,16 +204,16 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             self._starts[i] = episode["scene"].start
             self.positions[i] = self._place(i, self._starts[i])
         self.scenes = [scenes[i] for i in range(self.num_envs)]
-        self.velocities[mask] = 0
-        self._travelled[mask] = self._steps[mask] = 0
-        self.done[mask] = self.success[mask] = False
+        self.velocities[mask] = self.commands[mask] = 0
+        self._travelled[mask] = self.steps[mask] = 0
+        self.done[mask] = self.success[mask] = self.wall_contact[mask] = False
         for number in self.counts.values():
             number[mask] = 0
         self._due[mask] = (self._push[mask] != 0).any(-1) | (self._shift[mask] != 0).any(-1)
         self._goals = np.stack([self._padded(scene) for scene in self.scenes])
         self._present = np.arange(self.max_goals) < [[s.num_goals] for s in self.scenes]
-        wall, disturbed = np.zeros((2, self.num_envs), dtype=bool)
-        return self._observation(), self._info(wall, disturbed)
+        disturbed = np.zeros(self.num_envs, dtype=bool)
+        return self._observation(), self._info(disturbed)
 
     @np.errstate(under="ignore")
     def step(
@@ -231,7 +235,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         noise = np.zeros_like(command)
         for i in np.flatnonzero(self._noise[:, 0] * alive):
             noise[i] = self._noise[i] * self._rngs[i].standard_normal(self.dim)
-        reached, wall = self._move(command, noise, alive)
+        self.commands = actions.copy()
+        reached, self.wall_contact = self._move(command, noise, alive)
         self.velocities = reached - self.positions
         self._travelled += np.linalg.norm(self.velocities, axis=-1)
         self.positions = reached
@@ -242,14 +247,14 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             self._move_target(i)
         self._due &= ~disturbed
 
-        self._steps += alive
+        self.steps += alive
         slow = np.linalg.norm(self.velocities, axis=-1) <= _SLOW * self.max_displacement
         distance = self._distance()
         self.success |= alive & (distance <= _RADIUS) & slow & ~disturbed
-        self.done |= self.success | (self._steps >= self.max_episode_steps)
+        self.done |= self.success | (self.steps >= self.max_episode_steps)
         reward = np.where(alive, -distance, 0.0)
         success, truncated = self.success.copy(), self.done & ~self.success
-        return self._observation(), reward, success, truncated, self._info(wall, disturbed)
+        return self._observation(), reward, success, truncated, self._info(disturbed)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore
         """A picture `(H, W, 3)` of each environment."""
@@ -350,12 +355,12 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             "target": self.targets.copy(),
         }
 
-    def _info(self, wall: NDArray[Any], disturbed: NDArray[Any]) -> dict[str, Any]:
+    def _info(self, disturbed: NDArray[Any]) -> dict[str, Any]:
         return {
             "is_success": self.success.copy(),
             "distance": self._distance(),
             "speed": np.linalg.norm(self.velocities, axis=-1) * self.metadata["render_fps"],
-            "wall_contact": wall,
+            "wall_contact": self.wall_contact.copy(),
             "disturbed": disturbed,
             **{name: number.copy() for name, number in self.counts.items()},
         }

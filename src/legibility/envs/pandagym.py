@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
 from ..checks import Array
-from ..colors import GOALS
 from ..errors import InvalidInputError, MissingExtraError
 from .arm import BASE, BLOCK, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
 from .block_reach import BlockReach
+from .colors import GOALS
 
 __all__ = ["PandaGymBlockReach", "PandaGymBlockReachVector"]
 
@@ -400,7 +400,7 @@ class PandaGymBlockReach(BlockReach):
     `reset(seed=…, options={…})` takes
 
     * `scene`: a `Scene` in the default workspace; drawn if not given.
-    * `target`: index of the goal that is meant; 0 if not given.
+    * `target`: index of the intended goal; 0 if not given.
     * `num_goals`: of a scene that is drawn; 2 to 6 if not given.
     * `noise`: standard deviation [m] of each step's displacement; 0 if not given.
     * `push`: once half the straight line's length is travelled, the arm is displaced by so much [m]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
 from ..checks import Array, count
-from ..colors import GOALS, INK, MUTED
 from ..errors import OutputError
 from ..scene import Scene
+from .colors import GOALS, INK, MUTED
 
 __all__ = ["Window", "draw_scene"]
 
@@ -32,7 +32,7 @@ def draw_scene(scene: Scene, target: int, position: Array, size: int = 480) -> N
 
     Args:
         scene: the scene as it is now.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         position: `(2,)` [m], of the end effector.
         size: pixels of the longer side.
     """

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..checks import count
-from ..dataset import Dataset, DatasetConfig, generate
+from ..data.configuration import DatasetConfig
+from ..data.dataset import Dataset, generate
+from ..data.shards import SHARD
 from ..errors import InvalidInputError
 from ..files import file_hash, write_json
-from ..models.path_diffuser import PathDiffuserConfig
+from ..models.configuration import PathDiffuserConfig
 from ..models.pretrained import pretrained_folder, save_stage
 from ..modulator import Modulator
-from ..shards import SHARD
-from ..training import (
-    FIXED_BY_DATA,
-    PathTrainingConfig,
-    check_data,
-    choose_device,
-    train_path,
-)
-from .dial import DialConfig, evaluate_dial
+from ..training.configuration import FIXED_BY_DATA, PathTrainingConfig
+from ..training.path import check_data, train_path
+from ..training.team import choose_device
+from .configuration import AblationsConfig, DialConfig
+from .dial import evaluate_dial
 
-__all__ = ["COLUMNS", "AblationsConfig", "Variant", "evaluate_ablations", "variants"]
+__all__ = ["COLUMNS", "Variant", "evaluate_ablations", "variants"]
 
 COLUMNS = {
     "spearman": "Spearman",
@@ -35,51 +32,6 @@ COLUMNS = {
     "length_ratio_at_0": "length when asked 0",
 }
 """Headings of the dial's figures that a table of the rows shows."""
-
-
-@dataclass(frozen=True)
-class AblationsConfig:
-    """What is evaluated and how the small runs are trained.
-
-    Attributes:
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        seed: of the scenes and of the plans.
-        levels: levels of ℓ at equal steps from −1 to 1.
-        samples: paths drawn for a level.
-        sampling_steps: of the sampler, each on the weights as they are.
-        guidance: weights of classifier-free guidance at ±1, each on the weights as they are.
-        training_steps: optimiser steps of each small run.
-        training_scenes: scenes that small runs are trained on.
-        scene_numbers: other numbers of scenes, of a small run each.
-    """
-
-    scenes: int = 50
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
-    levels: int = 11
-    samples: int = 4
-    sampling_steps: tuple[int, ...] = (1, 2, 4, 8, 100)
-    guidance: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0)
-    training_steps: int = 3000
-    training_scenes: int = 3200
-    scene_numbers: tuple[int, ...] = (200, 800, 12800)
-
-    def __post_init__(self) -> None:
-        count("training_steps", self.training_steps)
-        count("training_scenes", self.training_scenes)
-        for number in self.scene_numbers:
-            count("scene_numbers", number)
-        # What is wrong with the rest is told before anything is trained.
-        DatasetConfig(scenes=self.scenes, goals=self.goals, seed=self.seed)
-        self.dial()
-
-    def dial(self, steps: int | None = None, guidance: float | None = None) -> DialConfig:
-        """How a row is measured, `steps` and `guidance` of the sampler as in `DialConfig`."""
-        return DialConfig(
-            scenes=self.scenes, goals=self.goals, seed=self.seed, levels=self.levels,
-            samples=self.samples, candidates=0, guidance=guidance, steps=steps,
-        )  # fmt: skip
 
 
 class Variant(NamedTuple):
@@ -102,10 +54,10 @@ def variants(config: AblationsConfig, model: PathDiffuserConfig) -> dict[str, Va
     own = f"sampling steps {model.sampling_steps}, guidance {model.guidance:g}"
     rows = {"as-shipped": Variant(f"the weights as they are: {own}")}
     for steps in config.sampling_steps:
-        if replace(model, sampling_steps=steps) != model:
+        if not model.distilled and replace(model, sampling_steps=steps) != model:
             rows[f"steps-{steps}"] = Variant(f"sampling steps {steps}", steps=steps)
     for guidance in config.guidance:
-        if replace(model, guidance=guidance) != model:
+        if not model.distilled and replace(model, guidance=guidance) != model:
             rows[f"guidance-{guidance:g}"] = Variant(f"guidance {guidance:g}", guidance=guidance)
     size = config.training_scenes
     rows["reference"] = Variant(f"small run: {size:,} training scenes", scenes=size)
@@ -153,11 +105,6 @@ def evaluate_ablations(
     """
     config, folder = config or AblationsConfig(), Path(folder)
     modulator = Modulator.from_pretrained(model)
-    if modulator.distilled:
-        raise InvalidInputError(
-            f"the model {modulator.name} was distilled: give its teacher, which can be sampled "
-            "otherwise"
-        )
     rows = variants(config, modulator.config)
     _check(data, modulator.config)
     choose_device(device)  # refused before anything is made
@@ -166,8 +113,8 @@ def evaluate_ablations(
     small = [variant for variant in rows.values() if variant.scenes]
     made = {
         "validation": data.config.for_validation(),
-        "rank-data": replace(parts[config.training_scenes].config, label="rank"),
-        "rank-validation": replace(data.config.for_validation(), label="rank"),
+        "rank-data": _on_rank_labels(parts[config.training_scenes].config),
+        "rank-validation": _on_rank_labels(data.config.for_validation()),
     }
     total = sum(-(-source.scenes // SHARD) * SHARD for source in made.values())
     total += len(rows) * config.scenes + len(small) * config.training_steps
@@ -191,7 +138,7 @@ def evaluate_ablations(
             weights = _trained(
                 sets["rank-data"] if rank else parts[variant.scenes],
                 sets["rank-validation" if rank else "validation"],
-                replace(modulator.config, label=variant.label, field=variant.field),
+                replace(_undistilled(modulator.config), field=variant.field),
                 PathTrainingConfig(steps=config.training_steps),
                 folder / name,
                 device,
@@ -211,10 +158,27 @@ def evaluate_ablations(
 
 
 def _check(data: Dataset, model: PathDiffuserConfig) -> None:
-    for name, value in {"stream": "train", "label": "anchored"}.items():
-        if (found := getattr(data.config, name)) != value:
-            raise InvalidInputError(f"the data must have {name} {value}, theirs is {found}")
+    for name, value, wanted in (
+        ("stream", data.config.stream, "train"),
+        ("label", data.config.observer.label, "anchored"),
+    ):
+        if value != wanted:
+            raise InvalidInputError(f"the data must have {name} {wanted}, theirs is {value}")
     check_data(model, data, data)
+
+
+def _on_rank_labels(config: DatasetConfig) -> DatasetConfig:
+    return replace(config, observer=replace(config.observer, label="rank"))
+
+
+def _undistilled(model: PathDiffuserConfig) -> PathDiffuserConfig:
+    """The network of a model, sampled as a teacher is by default."""
+    if not model.distilled:
+        return model
+    teacher = PathDiffuserConfig()
+    return replace(
+        model, distilled=False, sampling_steps=teacher.sampling_steps, guidance=teacher.guidance
+    )
 
 
 def _trained(
@@ -231,8 +195,7 @@ def _trained(
     trained = train_path(
         data, validation, folder, training, device=device, progress=progress, **settings
     )
-    facts = {"data": data.config.to_dict(), "digest": data.digest, "training": asdict(training)}
-    save_stage(folder / "weights", "path", trained, facts)
+    save_stage(folder / "weights", "path", trained, None)
     return folder / "weights"
 
 

@@ -7,32 +7,29 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..baselines.guided import GuidedPolicy
 from ..baselines.planners import archive_path, candidates_within, search, straight_path
 from ..checks import Array
 from ..curves import arc_length, resample, spaced
+from ..drivers import Driver, Policy, RobotStates
 from ..envs.block_reach import BlockReachVector
 from ..errors import InvalidInputError
-from ..execution import Driver, Policy, Rollout
 from ..intent.metrics import (
     SCORE_POINTS,
     distance_score,
     dragan_legibility,
-    legibility_score,
     potential_cost,
     time_to_confidence,
 )
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
-from ..motion.tracking import PathTracker
-from ..parallel import Each
-from ..path import Path
+from ..motion.path import Path
+from ..parallel import Each, threads
+from ..rollout import Rollout
 from ..scene import Scene
 from .statistics import CONFIDENT, holm, paired_test
-from .threads import one_thread
 
 __all__ = [
     "BASELINE",
@@ -131,7 +128,7 @@ def measured(states: Array, scene: Scene, archive: Archive, spacing: float) -> d
     points = spaced(states, spacing)
     confident = float(time_to_confidence(field.posterior(states), target, CONFIDENT))
     straight = np.linalg.norm(scene.target(target) - scene.start)
-    score = legibility_score(resample(states, SCORE_POINTS), field, target, archive.alpha)
+    score = archive.observer.score(resample(states, SCORE_POINTS), scene, target)
     return {
         "distance_score": float(distance_score(points, scene.goals, target)),
         "potential_cost": float(potential_cost(points, field, target)),
@@ -174,10 +171,7 @@ class Contest:
         self.modulator, self.policies, self.kind = modulator, policies, kind
         self.policy = policy
         self.sizes = sizes
-        config = modulator.config
-        self.observer: dict[str, Any] = {
-            "sigma": config.sigma, "alpha": config.alpha, "label": config.label
-        }  # fmt: skip
+        self.observer = modulator.config.observer
 
     def calibrate(self, scene: Scene, target: int) -> tuple[int, int]:
         """Set how many curves the searches draw, if that is not given, and return it.
@@ -186,7 +180,7 @@ class Contest:
         times that, on one core.
         """
         if self.sizes is None:
-            with one_thread():
+            with threads(1):
                 job, times = [Job(scene, target, 1.0, 0, 0)], []
                 for _ in range(_REPEATS):
                     started = time.perf_counter()
@@ -194,8 +188,8 @@ class Contest:
                     times.append(1e3 * (time.perf_counter() - started))
                 plan = float(np.median(times))
                 self.sizes = (
-                    candidates_within(plan, scene, target, **self.observer),
-                    candidates_within(10 * plan, scene, target, **self.observer),
+                    candidates_within(plan, scene, target, self.observer),
+                    candidates_within(10 * plan, scene, target, self.observer),
                 )
         return self.sizes
 
@@ -206,7 +200,7 @@ class Contest:
         and the oracle's archive is given.
         """
         found = {}
-        with one_thread():
+        with threads(1):
             for name in METHODS:
                 if name != "oracle":
                     times = [self._timed(name, scene, target, seed) for seed in range(6)][1:]
@@ -241,7 +235,7 @@ class Contest:
             assert self.sizes is not None
             size = self.sizes[name != "search"]
             return [
-                search(job.scene, job.target, job.level, size, job.plan_seed, **self.observer)
+                search(job.scene, job.target, job.level, self.observer, size, job.plan_seed)
                 for job in jobs
             ]
         if name in OURS:
@@ -252,7 +246,7 @@ class Contest:
                 )
                 for job in jobs
             ]
-        return [straight_path(job.scene, job.target, job.level, **self.observer) for job in jobs]
+        return [straight_path(job.scene, job.target, job.level, self.observer) for job in jobs]
 
     def motions(
         self,
@@ -287,7 +281,7 @@ class Contest:
             motions[number] += parts[index]
         return motions
 
-    @one_thread()
+    @threads(1)
     def _moved(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
         name, jobs, paths = item
         paths = paths or self.paths(name, jobs, [])
@@ -307,12 +301,11 @@ class Contest:
             options={"scene": [j.scene for j in jobs], "target": [j.target for j in jobs]},
         )
         levels = [job.level for job in jobs]
-        found = self.modulator.execute(
-            env, legibility=levels, path=paths, driver=driver, replan=False
+        rollouts = self.modulator.execute_many(
+            env, legibility=levels, paths=paths, driver=driver, replan=False
         )
-        assert isinstance(found, list)
         env.close()
-        return found
+        return rollouts
 
 
 class _Stopwatch:
@@ -322,19 +315,12 @@ class _Stopwatch:
         self.driver, self.with_path = driver, driver.with_path
         self.times: list[float] = []
 
-    def __call__(
-        self,
-        rows: NDArray[np.intp],
-        positions: Array,
-        previous: Array,
-        goals: Array,
-        tracker: PathTracker,
-    ) -> Array:
+    def __call__(self, robots: RobotStates) -> Array:
         """See `Driver`."""
         started = time.perf_counter()
-        found = self.driver(rows, positions, previous, goals, tracker)
+        actions = self.driver(robots)
         self.times.append(time.perf_counter() - started)
-        return found
+        return actions
 
 
 def compare(cells: dict[str, dict[str, Array]]) -> list[dict[str, Any]]:

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import Array, count
+from ..checks import Array
 from ..curves import arc_length, turning
-from ..dataset import DatasetConfig
+from ..data.scenes import SceneStream
 from ..envs import vector_type
-from ..errors import InvalidInputError
 from ..modulator import Modulator
-from ..parallel import pool
-from ..path import Path
-from ..scene import Scene, stream_seed
+from ..motion.path import Path
+from ..parallel import pool, threads
+from ..scene import Scene
+from ..seeds import plan_seeds
+from .configuration import DialConfig
 from .statistics import rank_correlation, summary
-from .threads import one_thread
 
-__all__ = ["FIGURES", "DialConfig", "evaluate_dial", "worst"]
+__all__ = ["FIGURES", "evaluate_dial", "worst"]
 
 
 class Figure(NamedTuple):
@@ -64,44 +63,6 @@ def worst(name: str, figures: dict[str, float]) -> float | None:
     return max((figures["min"], figures["max"]), key=lambda value: abs(value - best))
 
 
-@dataclass(frozen=True)
-class DialConfig:
-    """What is evaluated.
-
-    Attributes:
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        seed: of the scenes and of the plans.
-        levels: levels of ℓ at equal steps from −1 to 1.
-        samples: paths drawn for a level.
-        candidates: paths drawn for the nearest of them, measured besides; 0 leaves it out.
-        guidance: weight of classifier-free guidance at ±1; the model's own if not given.
-        steps: of the sampler; the model's own if not given.
-        closed_loop: whether the paths are executed, each by a robot with hidden properties of its
-            own, and what is measured is the executed motion.
-        env: where they are executed, 2d, panda or pandagym; the default of the dimension if not
-            given.
-    """
-
-    scenes: int = 200
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
-    levels: int = 21
-    samples: int = 8
-    candidates: int = 16
-    guidance: float | None = None
-    steps: int | None = None
-    closed_loop: bool = False
-    env: str | None = None
-
-    def __post_init__(self) -> None:
-        count("levels", self.levels, low=3)
-        count("samples", self.samples)
-        count("candidates", self.candidates, low=0)
-        if self.env is not None and not self.closed_loop:
-            raise InvalidInputError(f"env {self.env} belongs to closed_loop, which is not asked")
-
-
 def evaluate_dial(
     modulator: Modulator,
     config: DialConfig | None = None,
@@ -129,22 +90,13 @@ def evaluate_dial(
     """
     config = config or DialConfig()
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
-    source = DatasetConfig(
-        dim=modulator.config.dim,
-        scenes=config.scenes,
-        seed=config.seed,
-        stream="evaluation",
-        goals=config.goals,
-        label=modulator.config.label,
-        sigma=modulator.config.sigma,
-        alpha=modulator.config.alpha,
-    )
+    source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
     levels = np.round(np.linspace(-1, 1, config.levels), 12)
     measure = partial(_measure, modulator, source, levels, config)
     found: dict[int, dict[str, Any]] = {}
     with pool(workers, cluster) as each:
         plan_ms = plan_milliseconds(
-            modulator, source.scene(0)[0], guidance=config.guidance, steps=config.steps
+            modulator, source.scene(0), guidance=config.guidance, steps=config.steps
         )
         progress(0, config.scenes)
         for index, row in each(measure, range(config.scenes)):
@@ -162,14 +114,14 @@ def evaluate_dial(
     }
 
 
-@one_thread()
+@threads(1)
 def _measure(
-    modulator: Modulator, source: DatasetConfig, levels: Array, config: DialConfig, index: int
+    modulator: Modulator, source: SceneStream, levels: Array, config: DialConfig, index: int
 ) -> dict[str, Any]:
-    scene, archive = source.scene(index)
+    archive = source.archive(index, modulator.config.observer)
+    scene = archive.scene
     options: dict[str, Any] = {"guidance": config.guidance, "steps": config.steps}
-    draw = stream_seed("evaluation", config.seed, index, "plan")
-    seed = int(draw.generate_state(1, np.uint64)[0] >> 2)
+    (seed,) = plan_seeds(config.seed, index, 1)
     asked = np.repeat(levels, config.samples)
     path = modulator.plan(scene, 0, asked, seed=seed, **options)
     zero = np.abs(asked) == np.abs(levels).min()
@@ -226,11 +178,9 @@ def _executed(
         part = [path[i] for i in range(first, min(first + kind.at_once, size))]
         env = kind(len(part), max_goals=max(6, path.scene.num_goals))
         env.reset(seed=seed + first, options={"scene": path.scene, "target": path.target})
-        found = modulator.execute(
-            env, legibility=[p.legibility for p in part], seed=seed + first, path=part
+        rollouts += modulator.execute_many(
+            env, legibility=[p.legibility for p in part], seed=seed + first, paths=part
         )
-        assert isinstance(found, list)
-        rollouts += found
         env.close()
     off = [r.deviation.mean() for r in rollouts] / path.length
     figures = {
@@ -241,7 +191,7 @@ def _executed(
     return score, np.stack([r.trajectory(200) for r in rollouts]), figures
 
 
-@one_thread()
+@threads(1)
 def plan_milliseconds(
     modulator: Modulator, scene: Scene, repeats: int = 200, **options: Any
 ) -> float:

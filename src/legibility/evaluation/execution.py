@@ -12,22 +12,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Array, bounded, count
-from ..dataset import DatasetConfig
+from ..checks import Array
+from ..data.scenes import SceneStream
+from ..drivers import Driver, Feedback, Policy, Replay
 from ..envs import vector_type
 from ..envs.block_reach import BlockReachVector
 from ..errors import InvalidInputError
-from ..execution import Driver, Feedback, Policy, Replay, Rollout
+from ..intent.observer import Observer
 from ..modulator import Modulator
 from ..motion.archive import Archive
-from ..motion.tracking import NOMINAL_GAIN, PathTracker
-from ..parallel import pool
-from ..path import Path
-from ..scene import Scene, stream_seed
+from ..motion.path import Path
+from ..motion.tracking import NOMINAL_GAIN
+from ..parallel import pool, threads
+from ..rollout import Rollout
+from ..scene import Scene
+from ..seeds import plan_seeds, stream_seed
+from .configuration import ExecutionConfig
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
-from .threads import one_thread
 
-__all__ = ["ROWS", "ExecutionConfig", "evaluate_execution"]
+__all__ = ["ROWS", "evaluate_execution"]
 
 
 class Row(NamedTuple):
@@ -57,38 +60,6 @@ ROWS = {
 
 _DISTURBANCE = 2.0
 _NEAR = 0.05
-
-
-@dataclass(frozen=True)
-class ExecutionConfig:
-    """What is evaluated.
-
-    Attributes:
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        seed: of the scenes, the plans and the environments.
-        rollouts: in all, the same number in each scene, ℓ uniform in [−1, 1].
-        disturbance: of a push or a shift of the target [m]; twice the largest displacement of a
-            step if not given.
-        env: where, 2d, panda or pandagym; the default of the dimension if not given.
-    """
-
-    scenes: int = 200
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
-    rollouts: int = 5000
-    disturbance: float | None = None
-    env: str | None = None
-
-    def __post_init__(self) -> None:
-        count("scenes", self.scenes)
-        if count("rollouts", self.rollouts) % self.scenes or self.rollouts < 3 * self.scenes:
-            raise InvalidInputError(
-                f"rollouts must be a multiple of scenes, three or more in each, "
-                f"got {self.rollouts} for {self.scenes}"
-            )
-        if self.disturbance is not None:
-            bounded("disturbance", self.disturbance, 0)
 
 
 def evaluate_execution(
@@ -126,11 +97,7 @@ def evaluate_execution(
     policy = modulator.path_policy
     if policy is None:
         raise InvalidInputError(f"the model {modulator.name} has no stage 2 to evaluate")
-    source = DatasetConfig(
-        dim=modulator.config.dim, scenes=config.scenes, seed=config.seed, stream="evaluation",
-        goals=config.goals, label=modulator.config.label, sigma=modulator.config.sigma,
-        alpha=modulator.config.alpha,
-    )  # fmt: skip
+    source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
     kind = vector_type(config.env, modulator.config.dim)
     limit = policy.config.limit
     if kind.max_displacement != limit:
@@ -160,9 +127,11 @@ def evaluate_execution(
             rows[task.row] = _figures(whole, levels, each, archives, limit)
 
     with pool(workers, cluster) as work:
-        step_ms = step_milliseconds(modulator, source.scene(0)[0], kind)
+        step_ms = step_milliseconds(modulator, source.scene(0), kind)
         env_speed = env_steps_per_second(kind, at_once)
-        for index, archive in work(partial(_scores_of, source), range(config.scenes)):
+        for index, archive in work(
+            partial(_scores_of, source, modulator.config.observer), range(config.scenes)
+        ):
             archives[index] = archive
             done += 1
             progress(done, total)
@@ -198,9 +167,9 @@ def evaluate_execution(
     }
 
 
-def _scores_of(source: DatasetConfig, index: int) -> Archive:
+def _scores_of(source: SceneStream, observer: Observer, index: int) -> Archive:
     """A scene's archive without its curves, which are large; labels are read off the scores."""
-    _, archive = source.scene(index)
+    archive = source.archive(index, observer)
     nothing = np.empty(0)
     return replace(archive, controls=nothing, trajectories=nothing, descriptors=nothing)
 
@@ -225,21 +194,22 @@ class _Course:
     levels: Array
     at_once: int
 
-    @one_thread()
+    @threads(1)
     def rollouts(self, task: _Task) -> list[Rollout]:
         row, part = ROWS[task.row], slice(task.first, task.first + self.at_once)
-        plan_seed, policy_seed, env_seed = _seeds(self.config.seed, task.first)
+        plan_seed, policy_seed, env_seed = plan_seeds(
+            self.config.seed, task.first, 3, "demonstration"
+        )
         scenes = self.scenes[part]
         env = self.kind(len(scenes), max_goals=max(6, self.config.goals[1]))
         options = {row.disturbance: self.disturbance} if row.disturbance else {}
         env.reset(seed=env_seed, options={"scene": scenes, **options})
-        found = self.modulator.execute(
-            env, legibility=self.levels[part], seed=plan_seed, path=task.paths,
+        rollouts = self.modulator.execute_many(
+            env, legibility=self.levels[part], seed=plan_seed, paths=task.paths,
             driver=self._driver(row.driver, policy_seed), replan=row.replan,
         )  # fmt: skip
-        assert isinstance(found, list)
         env.close()
-        return found
+        return rollouts
 
     def _driver(self, name: str, seed: int) -> Driver:
         policy = self.modulator.path_policy
@@ -247,34 +217,11 @@ class _Course:
         drivers: dict[str, Callable[[], Driver]] = {
             "policy": lambda: Policy(policy, seed),
             "goal only": lambda: Policy(policy, seed, with_path=False),
-            "open loop": lambda: _OpenLoop(policy.config.limit, 1.0),
-            "mean gain": lambda: _OpenLoop(policy.config.limit, NOMINAL_GAIN),
+            "open loop": lambda: Replay(policy.config.limit),
+            "mean gain": lambda: Replay(policy.config.limit, NOMINAL_GAIN),
             "feedback": Feedback,
         }
         return drivers[name]()
-
-
-class _OpenLoop(Replay):
-    """The path's displacements over a gain, once; then the robot stands still."""
-
-    def __init__(self, limit: float, gain: float) -> None:
-        super().__init__(limit)
-        self.gain = gain
-        self._sent: set[int] = set()
-
-    def __call__(
-        self,
-        rows: NDArray[np.intp],
-        positions: Array,
-        previous: Array,
-        goals: Array,
-        tracker: PathTracker,
-    ) -> Array:
-        """See `Driver`."""
-        actions = super().__call__(rows, positions, previous, goals, tracker) / self.gain
-        actions[[row in self._sent for row in rows.tolist()]] = 0
-        self._sent.update(rows.tolist())
-        return actions
 
 
 def _figures(
@@ -328,13 +275,7 @@ def _interval(success: NDArray[Any], shares: Array) -> tuple[float, float]:
     return min(exact[0], over_scenes[0]), max(exact[1], over_scenes[1])
 
 
-def _seeds(seed: int, first: int) -> list[int]:
-    """Seeds of the plans, the policy and the environments, which take consecutive ones."""
-    draw = stream_seed("evaluation", seed, first, "demonstration")
-    return [int(word >> 2) for word in draw.generate_state(3, np.uint64)]
-
-
-@one_thread()
+@threads(1)
 def step_milliseconds(
     modulator: Modulator, scene: Scene, kind: type[BlockReachVector], repeats: int = 5
 ) -> float:
@@ -345,9 +286,8 @@ def step_milliseconds(
         env.reset(seed=seed, options={"scene": scene})
         path = modulator.plan(scene, 0, 0.5, seed=seed)
         start = time.perf_counter()
-        found = modulator.execute(env, legibility=0.5, seed=seed, path=path)
-        assert isinstance(found, list)
-        times.append((time.perf_counter() - start) / len(found[0].actions))
+        (rollout,) = modulator.execute_many(env, legibility=0.5, seed=seed, paths=[path])
+        times.append((time.perf_counter() - start) / len(rollout.actions))
     return float(np.median(times[1:]) * 1e3)
 
 
@@ -359,7 +299,8 @@ def env_steps_per_second(kind: type[BlockReachVector], size: int, seconds: float
     reach = env.max_displacement / 2
     taken, started = 0, time.perf_counter()
     while (spent := time.perf_counter() - started) < seconds:
-        env.done[:] = False  # whoever comes by its target goes on
+        if env.done.any():
+            env.reset(options={"reset_mask": env.done})
         env.step(rng.uniform(-reach, reach, env.positions.shape))
         taken += size
     env.close()

@@ -8,41 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import Array, count, random_seed
+from ..checks import Array
 from ..curves import spaced
 from ..envs import vector_type
 from ..errors import InvalidInputError
-from ..execution import Rollout
 from ..intent.field import InformationPotentialField
 from ..intent.metrics import potential_cost
+from ..intent.observer import Observer
 from ..modulator import Modulator
-from ..scene import Scene, stream_seed
+from ..rollout import Rollout
+from ..scene import Scene
+from ..seeds import plan_seeds
+from .configuration import SpectrumConfig
 from .statistics import bootstrap_interval
 from .table1 import SCENES, TARGETS
 
-__all__ = ["Spectrum", "SpectrumConfig", "evaluate_spectrum"]
-
-
-@dataclass(frozen=True)
-class SpectrumConfig:
-    """What is evaluated.
-
-    Attributes:
-        env: where, 2d, panda or pandagym.
-        levels: of ℓ at equal steps from −1 to 1.
-        rollouts: at each level toward either target.
-        seed: of the plans, the actions and the robots' hidden properties.
-    """
-
-    env: str = "2d"
-    levels: int = 21
-    rollouts: int = 50
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        count("levels", self.levels, low=3)
-        count("rollouts", self.rollouts, low=2)
-        random_seed("seed", self.seed)
+__all__ = ["Spectrum", "evaluate_spectrum"]
 
 
 def evaluate_spectrum(
@@ -67,20 +48,17 @@ def evaluate_spectrum(
     done, total = 0, len(TARGETS) * len(each)
     targets = {}
     for letter, target in TARGETS.items():
-        words = stream_seed("evaluation", config.seed, target, "plan").generate_state(2, np.uint64)
-        plan_seed, env_seed = (int(word >> 2) for word in words)
+        plan_seed, env_seed = plan_seeds(config.seed, target, 2)
         plans = modulator.plan(place.scene, target, each, seed=plan_seed)
         rollouts: list[Rollout] = []
         for first in range(0, len(each), kind.at_once):
             paths = [plans[i] for i in range(first, min(first + kind.at_once, len(each)))]
             env = kind(len(paths), max_goals=place.scene.num_goals)
             env.reset(seed=env_seed + first, options={"scene": place.scene, "target": target})
-            found = modulator.execute(
-                env, legibility=[p.legibility for p in paths], seed=plan_seed + first, path=paths
+            rollouts += modulator.execute_many(
+                env, legibility=[p.legibility for p in paths], seed=plan_seed + first, paths=paths
             )
-            assert isinstance(found, list)
             env.close()
-            rollouts += found
             progress(done + len(rollouts), total)
         done += len(each)
         own = Spectrum.of(rollouts, place.spacing)
@@ -99,7 +77,7 @@ def evaluate_spectrum(
     return {
         "env": kind.__name__.removesuffix("Vector"),
         "scene": place.scene.to_dict(),
-        "sigma": modulator.config.sigma,
+        "observer": modulator.config.observer.to_dict(),
         "spacing": place.spacing,
         "levels": levels,
         "targets": targets,
@@ -112,7 +90,7 @@ class Spectrum:
 
     Attributes:
         scene: the scene.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         field: the observer.
         levels: ℓ `(L,)`, rising.
         motions: one of each level, `(T, D)` [m].
@@ -158,7 +136,7 @@ class Spectrum:
         """Of what `evaluate_spectrum` returned, or its JSON, toward target R or G."""
         scene, own = Scene.from_dict(result["scene"]), result["targets"][letter]
         return cls(
-            scene, TARGETS[letter], InformationPotentialField.of(scene, result["sigma"]),
+            scene, TARGETS[letter], Observer(**result["observer"]).field(scene),
             np.array(result["levels"]), [np.array(s) for s in own["states"]],
             np.array(own["costs"]), np.array(own["angles"]),
         )  # fmt: skip

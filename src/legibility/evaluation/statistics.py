@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import Array
-from ..intent.observers import time_to_confidence
+from ..intent.belief import time_to_confidence
 
 __all__ = [
     "CONFIDENT",

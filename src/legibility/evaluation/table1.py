@@ -5,23 +5,24 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import resources
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import Array, count, random_seed
+from ..checks import Array
 from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..parallel import pool
-from ..scene import Scene, stream_seed
+from ..scene import Scene
+from ..seeds import plan_seeds
 from .comparison import METHODS, METRICS, TESTED, Contest, Job, Motion, compare, measured
+from .configuration import Table1Config
 from .statistics import bootstrap_interval, share_interval
 
-__all__ = ["SCENES", "TARGETS", "Table1Config", "evaluate_table1", "paper_rows"]
+__all__ = ["SCENES", "TARGETS", "evaluate_table1", "paper_rows"]
 
 TARGETS = {"R": 0, "G": 1}
 """The paper's red and green block, and their index."""
@@ -50,29 +51,6 @@ SCENES = {
 """By dimension. The plane's is read off the paper's figure; its simulator has half a metre to a
 unit and points 2 cm apart, so that the straight line's L_d is 1.546 and 1.201 (the paper's
 Diffusion Policy: 1.54 and 1.23). The arm's is ours: the paper gives no coordinates."""
-
-
-@dataclass(frozen=True)
-class Table1Config:
-    """What is evaluated.
-
-    Attributes:
-        env: where, 2d, panda or pandagym.
-        rollouts: of each method toward either target.
-        seed: of the plans, the actions and the robots' hidden properties.
-        search_candidates: curves that the search draws, and ten times that, in the time of a plan;
-            0 means as many as it can, which is measured first.
-    """
-
-    env: str = "2d"
-    rollouts: int = 100
-    seed: int = 0
-    search_candidates: int = 0
-
-    def __post_init__(self) -> None:
-        count("rollouts", self.rollouts, low=2)
-        random_seed("seed", self.seed)
-        count("search_candidates", self.search_candidates, low=0)
 
 
 def evaluate_table1(
@@ -112,13 +90,10 @@ def evaluate_table1(
     contest.calibrate(place.scene, TARGETS["R"])
     times = contest.times(place.scene, TARGETS["R"])
     archives = {t: modulator.archive(place.scene, target) for t, target in TARGETS.items()}
-    seeds = [
-        stream_seed("evaluation", config.seed, i, "plan").generate_state(2, np.uint64) >> 2
-        for i in range(config.rollouts)
-    ]
+    seeds = [plan_seeds(config.seed, i, 2) for i in range(config.rollouts)]
     work = []
     for letter, target in TARGETS.items():
-        jobs = [Job(place.scene, target, 1.0, int(a), int(b)) for a, b in seeds]
+        jobs = [Job(place.scene, target, 1.0, *pair) for pair in seeds]
         work += [(name, jobs, [archives[letter]] * len(jobs)) for name in METHODS]
     with pool(workers, cluster) as each:
         motions = iter(contest.motions(work, each, progress))

@@ -3,57 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..checks import Array, count
-from ..dataset import DatasetConfig
+from ..checks import Array
+from ..data.scenes import SceneStream
 from ..envs import vector_type
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..parallel import pool
-from ..scene import stream_seed
+from ..seeds import plan_seeds
 from .comparison import METHODS, METRICS, TESTED, Contest, Job, compare, measured
+from .configuration import UnseenConfig
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
 from .table1 import SCENES
 
-__all__ = ["UnseenConfig", "evaluate_unseen"]
+__all__ = ["evaluate_unseen"]
 
 _LEAST = {"distance_score": 0.0, "potential_cost": 1e-9}
 """A figure below it counts as that much: the clearest scenes leave nothing to compare."""
-
-
-@dataclass(frozen=True)
-class UnseenConfig:
-    """What is evaluated.
-
-    Attributes:
-        env: where, 2d, panda or pandagym.
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        rollouts: of each method in each scene with ℓ = 1.
-        levels: of ℓ from −1 to 1, a motion each, of the methods that take one.
-        seed: of the scenes, the plans, the actions and the robots' hidden properties.
-        search_candidates: curves that the search draws, and ten times that, in the time of a plan;
-            0 means as many as it can, which is measured first.
-    """
-
-    env: str = "2d"
-    scenes: int = 100
-    goals: tuple[int, int] = (2, 6)
-    rollouts: int = 4
-    levels: int = 11
-    seed: int = 0
-    search_candidates: int = 0
-
-    def __post_init__(self) -> None:
-        count("scenes", self.scenes, low=2)
-        count("rollouts", self.rollouts)
-        count("levels", self.levels, low=3)
-        count("search_candidates", self.search_candidates, low=0)
 
 
 def evaluate_unseen(
@@ -87,15 +57,12 @@ def evaluate_unseen(
     """
     config = config or UnseenConfig()
     kind = vector_type(config.env, modulator.config.dim)
-    source = DatasetConfig(
-        dim=kind.dim, scenes=config.scenes, seed=config.seed, stream="evaluation",
-        goals=config.goals, label=modulator.config.label, sigma=modulator.config.sigma,
-        alpha=modulator.config.alpha,
-    )  # fmt: skip
+    source = SceneStream("evaluation", kind.dim, config.goals, config.seed)
     size = config.search_candidates
     contest = Contest(modulator, policies, kind, (size, 10 * size) if size else None)
     contest.calibrate(SCENES[kind.dim].scene, 0)
-    archives = [source.scene(index)[1] for index in range(config.scenes)]
+    observer = modulator.config.observer
+    archives = [source.archive(index, observer) for index in range(config.scenes)]
     spacing = SCENES[kind.dim].spacing
     oracle = [
         measured(a.trajectories[a.nearest(1.0)], a.scene, a, spacing) for a in archives
@@ -168,10 +135,8 @@ def _jobs(
     jobs, own = [], []
     kind = "plan" if part == "legible" else "demonstration"
     for index, archive in enumerate(archives):
-        words = stream_seed("evaluation", seed, index, kind).generate_state(
-            2 * len(levels), np.uint64
-        )
-        for level, pair in zip(levels, (words >> np.uint64(2)).reshape(-1, 2), strict=True):
-            jobs.append(Job(archive.scene, 0, float(level), int(pair[0]), int(pair[1])))
+        seeds = iter(plan_seeds(seed, index, 2 * len(levels), kind))
+        for level in levels.tolist():
+            jobs.append(Job(archive.scene, 0, level, next(seeds), next(seeds)))
             own.append(archive)
     return jobs, own

@@ -17,13 +17,12 @@ from ..checks import (
     target_index,
 )
 from ..errors import InvalidInputError
-from ..scene import Scene
 
 __all__ = ["InformationPotentialField"]
 
 
 class InformationPotentialField:
-    """An observer who takes each goal's likelihood to be a Gaussian around it (paper, section V.A).
+    """The posterior over goals of a Gaussian likelihood around each (paper, section V.A).
 
     `P(x|g) = N(x; g, σ²I)`, `P(g|x) = softmax_g(log P(g) − ‖x − g‖² / 2σ²)` (eq. 2) and
     `φ(x|g*) = −log P(g*|x)` (eq. 3).
@@ -56,12 +55,7 @@ class InformationPotentialField:
                 f"sigma must not vanish beside the goals' distances, got {sigma}"
             )
         if not self._slope.any():
-            raise InvalidInputError(f"sigma must let the goals be told apart, got {sigma}")
-
-    @classmethod
-    def of(cls, scene: Scene, sigma: float) -> InformationPotentialField:
-        """The field of a scene's goals under a uniform prior; the last ones are kept."""
-        return _of(scene, positive("sigma", sigma))
+            raise InvalidInputError(f"sigma must tell the goals apart, got {sigma}")
 
     @property
     def goals(self) -> Array:
@@ -137,8 +131,3 @@ class InformationPotentialField:
         axes = [low + centres * (high - low) for low, high in workspace.T]
         points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
         return self.potential(points, target)
-
-
-@functools.lru_cache(maxsize=64)  # each part of a plan asks for it
-def _of(scene: Scene, sigma: float) -> InformationPotentialField:
-    return InformationPotentialField(scene.goals, sigma)

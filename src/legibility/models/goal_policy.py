@@ -6,41 +6,17 @@ Diffuser (Bronars, Cheng & Xu 2024).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..checks import Array, bounded
-from .actions import ActionConfig, ActionDenoiser
+from ..checks import Array
+from .actions import ActionDenoiser
+from .configuration import GoalPolicyConfig
 from .diffusion import ddim, sampling_timesteps
 from .path_policy import compressed
 
-__all__ = ["GoalPolicy", "GoalPolicyConfig", "goal_features", "guidance_weights"]
-
-
-@dataclass(frozen=True)
-class GoalPolicyConfig(ActionConfig):
-    """The shape of the policy and how it is guided.
-
-    Attributes:
-        guidance: w, weight of the guidance at the start of a motion; 0 is a plain policy.
-        guidance_decay: γ, by which w is multiplied after every executed chunk.
-        guidance_share: a, share of the guidance that leads away from the other goals; the rest
-            leads away from what the policy does if it knows no goal.
-    """
-
-    sampling_steps: int = 10
-    guidance: float = 0.0
-    guidance_decay: float = 1.0
-    guidance_share: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("guidance", self.guidance, 0)
-        bounded("guidance_decay", self.guidance_decay, 0, 1)
-        bounded("guidance_share", self.guidance_share, 0, 1)
+__all__ = ["GoalPolicy", "goal_features", "guidance_weights"]
 
 
 def goal_features(

@@ -3,108 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..checks import bounded, count, positive
 from ..curves import NUM_WAYPOINTS
-from ..errors import CheckpointError, InvalidInputError
-from ..intent.field import InformationPotentialField
-from ..intent.labels import LABELS
+from ..intent.observer import Observer
 from ..scene import Scene
+from .configuration import PathDiffuserConfig
 from .diffusion import ddim, sampling_timesteps
 from .frame import DEPTH, FIELD_CHANNELS, scene_image, scene_odds, scene_vector, vector_size
 from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fourier
 
-__all__ = ["Conditions", "PathDiffuser", "PathDiffuserConfig"]
+__all__ = ["Conditions", "PathDiffuser"]
 
 NO_ODDS = -1e4
 _AT_ONCE = 64  # paths: what their layers hold fits into a core's cache
 LEVEL_FREQUENCIES = 12
 TIME_FREQUENCIES = 16
-
-
-@dataclass(frozen=True)
-class PathDiffuserConfig:
-    """The shape of stage 1 and what its labels mean.
-
-    Attributes:
-        dim: D, 2 or 3.
-        sigma: σ [m] of the observer whose labels it learned.
-        alpha: decay of that score's weight.
-        label: `anchored` or `rank`.
-        field: whether it sees the field; without it, it knows start, goal, workspace and ℓ alone.
-        channels: of the U-Net's levels.
-        condition: size of the condition.
-        encoder_width: channels of the image encoder's first layer.
-        resolution: height and width of the image.
-        squash: deviations from the straight line, in its lengths, beyond which they are compressed
-            (by asinh), so that small ones are learned as exactly as large ones.
-        diffusion_steps: of the noise schedule in training.
-        sampling_steps: of the deterministic sampler.
-        guidance: weight w of classifier-free guidance (Ho & Salimans 2022) at ℓ = ±1:
-            v̂ = v(c) + w ℓ⁴ (v(c) − v(∅)). It works at the ends alone, where samples can only err
-            inwards; between them it would overshoot.
-    """
-
-    dim: int = 2
-    sigma: float = 0.15
-    alpha: float = 3.0
-    label: str = "anchored"
-    field: bool = True
-    channels: tuple[int, ...] = (64, 128)
-    condition: int = 192
-    encoder_width: int = 16
-    resolution: int = 32
-    squash: float = 0.1
-    diffusion_steps: int = 100
-    sampling_steps: int = 3
-    guidance: float = 0.3
-
-    def __post_init__(self) -> None:
-        if self.dim not in (2, 3):
-            raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
-        if self.label not in LABELS:
-            raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {self.label!r}")
-        if not isinstance(self.field, bool):
-            raise InvalidInputError(f"field must be true or false, got {self.field!r}")
-        if not self.channels or NUM_WAYPOINTS % 2 ** (len(self.channels) - 1):
-            raise InvalidInputError(f"channels must be of 1 to 4 levels, got {self.channels}")
-        for name in ("channels", "encoder_width", "resolution"):
-            value = getattr(self, name)
-            for number in value if isinstance(value, tuple) else (value,):
-                if count(name, number) % 8:
-                    raise InvalidInputError(f"{name} must be a multiple of 8, got {number}")
-        count("condition", self.condition)
-        count("diffusion_steps", self.diffusion_steps)
-        if count("sampling_steps", self.sampling_steps) > self.diffusion_steps:
-            raise InvalidInputError(
-                f"sampling_steps must be at most {self.diffusion_steps}, got {self.sampling_steps}"
-            )
-        positive("sigma", self.sigma)
-        positive("squash", self.squash)
-        bounded("alpha", self.alpha, 0)
-        bounded("guidance", self.guidance, -1e3, 1e3)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for `config.json`."""
-        return {**asdict(self), "channels": list(self.channels)}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> PathDiffuserConfig:
-        """The inverse of `to_dict`; every key must be there and none else."""
-        names = {f.name for f in fields(cls)}
-        if set(content) != names:
-            raise CheckpointError(
-                f"a path diffuser's settings are {sorted(names)}; "
-                f"missing or unknown: {sorted(names ^ set(content))}"
-            )
-        return cls(**{**content, "channels": tuple(content["channels"])})
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,15 +45,15 @@ class Conditions:
 
     @classmethod
     def of(
-        cls, scenes: list[Scene], targets: list[int], sigma: float, resolution: int
+        cls, scenes: list[Scene], targets: list[int], observer: Observer, resolution: int
     ) -> Conditions:
-        """Of `scenes`, goal `targets[i]` meant in the i-th; σ in metres."""
+        """Of `scenes`, with goal `targets[i]` as the target of the i-th."""
         most = max(scene.num_goals for scene in scenes) - 1
         images, vectors = [], []
         slopes = np.zeros((len(scenes), most, scenes[0].dim), dtype=np.float32)
         intercepts = np.full((len(scenes), most), NO_ODDS, dtype=np.float32)
         for i, (scene, target) in enumerate(zip(scenes, targets, strict=True)):
-            field = InformationPotentialField.of(scene, sigma)
+            field = observer.field(scene)
             images.append(scene_image(scene, target, field, resolution))
             vectors.append(scene_vector(scene, target, field))
             others = scene.num_goals - 1
@@ -219,7 +138,7 @@ class PathDiffuser(nn.Module):
 
     def conditions(self, scenes: list[Scene], targets: list[int]) -> Conditions:
         """What the network sees of `scenes`, goal `targets[i]` meant in the i-th."""
-        return Conditions.of(scenes, targets, self.config.sigma, self.config.resolution)
+        return Conditions.of(scenes, targets, self.config.observer, self.config.resolution)
 
     def encode_scene(self, conditions: Conditions, keep: Tensor | None = None) -> Tensor:
         """`(B, E)` of the scene; where `keep (B,)` is false the field is dropped."""

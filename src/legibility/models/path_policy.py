@@ -10,22 +10,18 @@ from torch import Tensor, nn
 
 from ..checks import Array
 from ..motion.tracking import PathTracker
-from .actions import ActionConfig, ActionDenoiser
+from .actions import ActionDenoiser
+from .configuration import PathPolicyConfig
 from .diffusion import ddim, sampling_timesteps
 from .frame import axes_along
 
-__all__ = ["Observation", "PathPolicy", "PathPolicyConfig"]
+__all__ = ["Observation", "PathPolicy"]
 
 _AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Arc lengths ahead, in limits, at which the policy sees the path: as far as a chunk gets."""
 
 _REACH = 4.0
 """Beyond this many limits distances are compressed."""
-
-
-@dataclass(frozen=True)
-class PathPolicyConfig(ActionConfig):
-    """The shape of stage 2."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,16 +8,24 @@ from typing import Any
 
 import torch
 
-from ..errors import CheckpointError
+from ..errors import CheckpointError, TrainingError
 from ..files import at_home, file_hash, read_text, write_json
 from .checkpoint import load_state, load_tensors, save_tensors
-from .goal_policy import GoalPolicy, GoalPolicyConfig
-from .path_diffuser import PathDiffuser, PathDiffuserConfig
-from .path_policy import PathPolicy, PathPolicyConfig
+from .configuration import GoalPolicyConfig, PathDiffuserConfig, PathPolicyConfig
+from .goal_policy import GoalPolicy
+from .path_diffuser import PathDiffuser
+from .path_policy import PathPolicy
+from .provenance import TrainingRecord
 
-__all__ = ["load_stages", "pretrained_folder", "pretrained_names", "save_stage"]
+__all__ = [
+    "load_stages",
+    "pretrained_folder",
+    "pretrained_names",
+    "save_stage",
+    "training_records",
+]
 
-_FORMAT = 2
+_FORMAT = 3
 
 _STAGES: dict[str, Any] = {
     "path": (PathDiffuserConfig, PathDiffuser),
@@ -51,29 +59,38 @@ def pretrained_names(stage: str = "path") -> list[str]:
 
 
 def save_stage(
-    folder: str | Path, stage: str, model: torch.nn.Module, training: dict[str, Any] | None
+    folder: str | Path, stage: str, model: torch.nn.Module, training: TrainingRecord | None
 ) -> None:
     """Write the weights of one stage to `folder` and its entry to `config.json` there.
 
+    Parameters are stored in float16, buffers as they are; networks compute in float32.
+
     Args:
-        folder: of the model; other stages, if they are there, stay.
+        folder: of the model; its other stages stay.
         stage: `path`, `policy` or `goal`.
         model: the network.
         training: how it was made.
+
+    Raises:
+        TrainingError: a parameter is not finite in float16.
     """
     folder = at_home(folder)
     entries = _read_config(folder) if (folder / "config.json").exists() else {}
     weights = folder / f"{stage}.safetensors"
-    save_tensors(weights, model.state_dict())
+    halves = {name: parameter.detach().half() for name, parameter in model.named_parameters()}
+    for name, tensor in halves.items():
+        if not torch.isfinite(tensor).all():
+            raise TrainingError(f"{name} of stage {stage} is not finite in float16")
+    save_tensors(weights, {**model.state_dict(), **halves})
     entries[stage] = {
         "config": model.config.to_dict(),  # pyright: ignore
         "sha256": file_hash(weights),
-        "training": training,
+        "training": training and training.to_dict(),
     }
     write_json(folder / "config.json", {"format": _FORMAT, **dict(sorted(entries.items()))})
 
 
-def load_stages(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def load_stages(folder: Path) -> tuple[dict[str, Any], dict[str, TrainingRecord | None]]:
     """The networks in `folder` by stage, and how each was trained.
 
     Raises:
@@ -81,7 +98,24 @@ def load_stages(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """
     entries = _read_config(folder)
     stages = {name: _load_stage(folder, name, entry) for name, entry in entries.items()}
-    return stages, {name: entry["training"] for name, entry in entries.items()}
+    return stages, training_records(folder)
+
+
+def training_records(folder: Path) -> dict[str, TrainingRecord | None]:
+    """How each stage in `folder` was trained; None where that is not known.
+
+    Raises:
+        CheckpointError: there is no configuration, or it is not one of ours.
+    """
+    try:
+        return {
+            name: entry["training"] and TrainingRecord.from_dict(entry["training"])
+            for name, entry in _read_config(folder).items()
+        }
+    except (TypeError, KeyError, AttributeError) as cause:
+        raise CheckpointError(
+            f"{folder}/config.json has another training record: {cause}"
+        ) from cause
 
 
 def _read_config(folder: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The quality-diversity archive: all ways to reach a goal, each scored and labelled (paper, V.B).
+"""The quality-diversity archive: all ways to reach a goal, scored and labelled (paper, V.B).
 
 MAP-Elites (Mouret & Clune 2015) over cubic Béziers: random curves first, then variations of the
 elites until hardly any new cell fills. A cell is a place of the workspace, a curve belongs to the
@@ -12,21 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, bounded, count, finite_array, positive, seed_or_entropy, target_index
+from ..checks import Array, count, finite_array, positive, seed_or_entropy, target_index
 from ..curves import farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.field import InformationPotentialField
-from ..intent.labels import LABELS, anchored_label, label_knots, rank_label
-from ..intent.metrics import DEFAULT_ALPHA, SCORE_POINTS, legibility_score
-from ..scene import DEFAULT_SIGMA, Scene
+from ..intent.labels import label_knots
+from ..intent.metrics import SCORE_POINTS
+from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..scene import Scene
 from .bezier import bending_energy, bezier_trajectories, straight_controls
 
 __all__ = ["Archive", "CurveGrid", "build_archive", "random_controls"]
 
 _BATCH = 1024
 _REACH = 1 / 3
-"""How far beyond the workspace control points are drawn, as a share of its side: a cubic Bézier
-gets three quarters of the way to its control points, so this much lets it touch the walls."""
+"""How far beyond the workspace control points are drawn, as a share of its side. A cubic Bézier
+gets three quarters of the way to its control points, so this lets it touch the walls."""
 
 DEFAULT_CELLS = {2: 48, 3: 16}
 """Cells along each axis of the workspace, by dimension."""
@@ -38,26 +39,22 @@ class Archive:
 
     Attributes:
         scene: the scene.
-        target: index of the goal that is meant.
-        field: the observer that scored them.
-        alpha: decay of the score's weight.
-        label: `anchored` or `rank`.
+        target: index of the intended goal.
+        observer: the one who scored and labelled them.
         controls: `(N, 4, D)` [m], control points of the cubic Béziers.
         trajectories: `(N, T, D)` [m], at equal arc length.
         descriptors: `(N, D)` [m], the most deviating point of each.
-        energies: `(N,)` [m²], bending energy, the quality that a cell keeps the least of.
+        energies: `(N,)` [m²], bending energy, which a cell minimises.
         scores: `(N,)`, `legibility_score`, higher = more legible.
         labels: `(N,)` in [−1, 1].
         straight_score: the straight line's score, where the anchored label is 0.
-        num_candidates: curves tried, those that left the workspace among them.
-        cells_reached: cells that the most deviating point of any candidate fell into, valid or not.
+        num_candidates: curves tried, including those that left the workspace.
+        cells_reached: cells that the most deviating point of any candidate fell into.
     """
 
     scene: Scene
     target: int
-    field: InformationPotentialField
-    alpha: float
-    label: str
+    observer: Observer
     controls: Array
     trajectories: Array
     descriptors: Array
@@ -70,6 +67,11 @@ class Archive:
 
     def __len__(self) -> int:
         return len(self.scores)
+
+    @property
+    def field(self) -> InformationPotentialField:
+        """The observer's field of the scene."""
+        return self.observer.field(self.scene)
 
     @property
     def coverage(self) -> float:
@@ -94,7 +96,7 @@ class Archive:
 
     @property
     def _knots(self) -> tuple[Array, Array]:
-        if self.label == "rank":
+        if self.observer.label == "rank":
             return label_knots(self.scores, self.labels)
         return label_knots(np.append(self.scores, self.straight_score), np.append(self.labels, 0.0))
 
@@ -111,7 +113,7 @@ class CurveGrid:
 
     Args:
         scene: gives the two ends and the workspace.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         cells: cells along each axis.
     """
 
@@ -164,10 +166,8 @@ def build_archive(
     scene: Scene,
     target: int = 0,
     *,
+    observer: Observer = DEFAULT_OBSERVER,
     seed: int | np.random.SeedSequence | None = 0,
-    sigma: float | None = None,
-    alpha: float = DEFAULT_ALPHA,
-    label: str = "anchored",
     cells: int | None = None,
     random_candidates: int = 4096,
     max_candidates: int = 65_536,
@@ -177,16 +177,14 @@ def build_archive(
 
     Args:
         scene: the scene.
-        target: index of the goal that is meant.
-        seed: of the curves drawn; None draws others each time.
-        sigma: the observer's σ [m]; `DEFAULT_SIGMA` of the dimension if not given.
-        alpha: decay of the score's weight.
-        label: `anchored` (ℓ = 0 is the straight line) or `rank` (the paper's).
+        target: index of the intended goal.
+        observer: the one who scores and labels them.
+        seed: of the random curves; None draws others each time.
         cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
         random_candidates: curves with random control points, drawn first.
-        max_candidates: curves in all at most.
-        patience: variation ends when a batch fills fewer new cells than this share of those filled,
-            four batches running.
+        max_candidates: most curves in all.
+        patience: variation ends after four batches in a row that each fill fewer new cells than
+            this share of those filled.
 
     Raises:
         InvalidInputError: an argument is out of its range.
@@ -194,11 +192,8 @@ def build_archive(
     if not isinstance(scene, Scene):
         raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
     target = target_index(target, scene.num_goals)
-    if label not in LABELS:
-        raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {label!r}")
-    sigma = DEFAULT_SIGMA[scene.dim] if sigma is None else sigma
-    field = InformationPotentialField.of(scene, sigma)
-    alpha = bounded("alpha", alpha, 0)
+    if not isinstance(observer, Observer):
+        raise InvalidInputError(f"observer must be a legibility.Observer, got {observer!r}")
     cells = count("cells", DEFAULT_CELLS[scene.dim] if cells is None else cells, low=2)
     random_candidates = count("random_candidates", random_candidates)
     max_candidates = count("max_candidates", max_candidates, low=random_candidates)
@@ -225,21 +220,18 @@ def build_archive(
     filled = grid.filled
     controls = grid.controls[filled]
     trajectories = bezier_trajectories(controls, SCORE_POINTS)
-    scores = legibility_score(trajectories, field, target, alpha)
+    scores = observer.score(trajectories, scene, target)
     straight_score = float(scores[np.argmin(grid.energies[filled])])  # its energy is 0
-    labels = rank_label(scores) if label == "rank" else anchored_label(scores, straight_score)
     return Archive(
         scene=scene,
         target=target,
-        field=field,
-        alpha=alpha,
-        label=label,
+        observer=observer,
         controls=controls,
         trajectories=trajectories,
         descriptors=grid.descriptors[filled],
         energies=grid.energies[filled],
         scores=scores,
-        labels=labels,
+        labels=observer.labels(scores, straight_score),
         straight_score=straight_score,
         num_candidates=tried,
         cells_reached=int(grid.reached.sum()),

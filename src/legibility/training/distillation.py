@@ -10,58 +10,26 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..checks import bounded, count
-from ..dataset import Dataset
+from ..data.dataset import Dataset
 from ..errors import InvalidInputError
 from ..models.diffusion import sampling_timesteps
 from ..models.path_diffuser import PathDiffuser
+from .configuration import DistillationConfig
 from .loop import Progress, train
-from .path import PathBatches, PathTrainingConfig, check_data, validate_dial
+from .path import PathBatches, check_data, validate_dial
 from .team import Team
 
-__all__ = ["DistillationBatches", "DistillationConfig", "distill_path"]
+__all__ = ["DistillationBatches", "distill_path"]
 
 _AT_ONCE = 16  # scenes that the teacher draws for
 _SMOOTH = 0.01  # added to a jerk, so that what is far below it makes no difference
-
-
-@dataclass(frozen=True)
-class DistillationConfig(PathTrainingConfig):
-    """How a student is trained.
-
-    Attributes:
-        sampling_steps: of the student.
-        pairs: of noise and path that the teacher draws in each scene, ℓ evenly over the dial.
-        ends: share of them at ℓ = ±1.
-        jerk_weight: weight of the loss on what the paths have more of jerk than the teacher's.
-    """
-
-    steps: int = 4000
-    learning_rate: float = 5e-4
-    dropout: float = 0.0
-    sampling_steps: int = 1
-    pairs: int = 32
-    ends: float = 0.2
-    jerk_weight: float = 0.01
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.dropout:
-            raise InvalidInputError(
-                f"dropout must be 0, as a student never is without conditions, got {self.dropout}"
-            )
-        count("sampling_steps", self.sampling_steps)
-        count("pairs", self.pairs)
-        bounded("jerk_weight", self.jerk_weight, 0)
-        if bounded("ends", self.ends, 0, 1) == 1:
-            raise InvalidInputError(f"ends must lie in [0, 1), got {self.ends}")
 
 
 class DistillationBatches(PathBatches):
@@ -187,7 +155,9 @@ def distill_path(
         )
     check_data(teacher.config, data, validation)
     team = Team.join(device, precision)
-    settings = replace(teacher.config, sampling_steps=config.sampling_steps, guidance=0.0)
+    settings = replace(
+        teacher.config, sampling_steps=config.sampling_steps, guidance=0.0, distilled=True
+    )
     student = PathDiffuser(settings).to(team.device)
     student.load_state_dict(teacher.state_dict())
     student.no_level.requires_grad_(False)  # it is never without conditions

@@ -14,13 +14,16 @@ import torch
 from ..baselines.guided import GuidedPolicy
 from ..baselines.planners import straight_path
 from ..checks import Array
-from ..dataset import LABEL_KNOTS, Dataset
-from ..demonstrations import Demonstrations
+from ..data.dataset import LABEL_KNOTS, Dataset
+from ..data.demonstrations import Demonstrations
 from ..envs import vector_type
-from ..execution import Fleet, Rollout, follow
-from ..models.goal_policy import GoalPolicy, GoalPolicyConfig, goal_features
+from ..envs.fleet import Fleet
+from ..models.configuration import GoalPolicyConfig
+from ..models.goal_policy import GoalPolicy, goal_features
+from ..rollout import Rollout, follow
+from .configuration import PolicyTrainingConfig
 from .loop import Progress
-from .policy import PolicyTrainingConfig, fit, moments
+from .policy import fit, moments
 from .team import Team
 
 __all__ = ["GUIDANCE", "train_goal", "tune_guidance", "validate_goal"]
@@ -94,10 +97,7 @@ def rollouts_of(model: GoalPolicy, validation: Dataset) -> list[Rollout]:
     config, scenes = validation.config, validation.scenes
     env = vector_type(None, config.dim)(len(scenes))
     env.reset(seed=0, options={"scene": scenes})
-    paths = [
-        straight_path(scene, 0, 0.0, sigma=config.sigma, alpha=config.alpha, label=config.label)
-        for scene in scenes
-    ]
+    paths = [straight_path(scene, 0, 0.0, config.observer) for scene in scenes]
     found = follow(Fleet(env, 0), paths, GuidedPolicy(model, scenes, [0] * len(scenes), seed=0))
     env.close()
     return found

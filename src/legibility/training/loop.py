@@ -13,7 +13,7 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,55 +21,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..checks import bounded, count, positive, random_seed
-from ..errors import CheckpointError, InvalidInputError, TrainingError
+from ..errors import CheckpointError, TrainingError
 from ..files import read_text, write_bytes
 from ..models.checkpoint import load_state, load_tensors, save_tensors
+from .configuration import TrainingConfig
 from .team import Team
 
-__all__ = ["CHECKPOINT", "LOG", "Progress", "TrainingConfig", "train"]
+__all__ = ["CHECKPOINT", "LOG", "Progress", "train"]
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
-
-
-@dataclass(frozen=True)
-class TrainingConfig:
-    """How a model is trained; each stage has settings of its own besides.
-
-    Attributes:
-        steps: optimiser steps.
-        learning_rate: its highest value, after the warm-up; it ends at 0 (cosine).
-        warmup: steps of linear warm-up.
-        weight_decay: of AdamW.
-        dropout: probability that what guides the model is dropped: field and ℓ together of stage 1,
-            the path of stage 2, the goal of a baseline.
-        ema: decay of the exponential moving average of the weights, which is what is kept.
-        seed: of the weights and of every batch.
-        validate_every: steps between validations of the dial.
-        checkpoint_every: steps between checkpoints.
-    """
-
-    steps: int = 12000
-    learning_rate: float = 1e-3
-    warmup: int = 500
-    weight_decay: float = 1e-4
-    dropout: float = 0.1
-    ema: float = 0.999
-    seed: int = 0
-    validate_every: int = 1000
-    checkpoint_every: int = 500
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "validate_every", "checkpoint_every"):
-            count(name, getattr(self, name))
-        random_seed("seed", self.seed)
-        count("warmup", self.warmup, low=0)
-        positive("learning_rate", self.learning_rate)
-        bounded("weight_decay", self.weight_decay, 0)
-        for name in ("dropout", "ema"):
-            if bounded(name, getattr(self, name), 0, 1) == 1:
-                raise InvalidInputError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
 
 
 M = TypeVar("M", bound=nn.Module)

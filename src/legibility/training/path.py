@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,56 +10,27 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..checks import bounded, count
 from ..curves import NUM_WAYPOINTS, spline_matrix
-from ..dataset import LABEL_KNOTS, Dataset
+from ..data.dataset import LABEL_KNOTS, Dataset
 from ..errors import InvalidInputError
 from ..intent.metrics import SCORE_POINTS
+from ..models.configuration import PathDiffuserConfig
 from ..models.diffusion import noise_schedule, noised
 from ..models.frame import Frame
-from ..models.path_diffuser import Conditions, PathDiffuser, PathDiffuserConfig
-from .loop import Progress, TrainingConfig, train
+from ..models.path_diffuser import Conditions, PathDiffuser
+from .configuration import FIXED_BY_DATA, PathTrainingConfig
+from .loop import Progress, train
 from .team import Team
 
 __all__ = [
-    "FIXED_BY_DATA",
     "FrameScorer",
     "PathBatches",
-    "PathTrainingConfig",
     "check_data",
     "train_path",
     "validate_dial",
 ]
 
-FIXED_BY_DATA = ("dim", "sigma", "alpha", "label")
-"""Settings of stage 1 that its data fix."""
-
 _LEAST_COST = 1e-30
-
-
-@dataclass(frozen=True)
-class PathTrainingConfig(TrainingConfig):
-    """How stage 1 is trained.
-
-    Attributes:
-        scenes: scenes in a batch.
-        per_scene: trajectories of each scene in a batch.
-        score_weight: weight of the loss on the achieved label against that on the velocity.
-        wall_weight: the same of the mean distance by which the denoised curve is outside the
-            workspace, in lengths of the straight line.
-    """
-
-    scenes: int = 128
-    per_scene: int = 8
-    score_weight: float = 5.0
-    wall_weight: float = 20.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count("scenes", self.scenes)
-        count("per_scene", self.per_scene)
-        bounded("score_weight", self.score_weight, 0)
-        bounded("wall_weight", self.wall_weight, 0)
 
 
 class PathBatches:
@@ -152,7 +122,7 @@ class FrameScorer:
         knots = -np.log(np.maximum(-data.score_at_label, _LEAST_COST))
         self.knots = tensor(np.maximum.accumulate(knots, axis=1))
         self.values = tensor(LABEL_KNOTS)
-        self.alpha = data.config.alpha
+        self.alpha = data.config.observer.alpha
         self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, SCORE_POINTS))
         self.ends = tensor(np.eye(2, data.config.dim, k=-1))
 
@@ -252,8 +222,6 @@ def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -
     Raises:
         InvalidInputError: they are not.
     """
-    if "evaluation" in (data.config.stream, validation.config.stream):
-        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
     for name in FIXED_BY_DATA:
         value = getattr(config, name)
         for what, found in (("data", data), ("validation data", validation)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
@@ -13,38 +12,26 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..checks import Array, count
+from ..checks import Array
 from ..curves import arc_length
-from ..dataset import Dataset
-from ..demonstrations import Demonstrations
+from ..data.dataset import Dataset
+from ..data.demonstrations import Demonstrations
+from ..drivers import Policy
 from ..envs import vector_type
+from ..envs.fleet import Fleet
 from ..errors import InvalidInputError
-from ..execution import Fleet, Policy, follow
+from ..models.configuration import PathPolicyConfig
 from ..models.diffusion import noise_schedule, noised
 from ..models.goal_policy import GoalPolicy
-from ..models.path_policy import Observation, PathPolicy, PathPolicyConfig
+from ..models.path_policy import Observation, PathPolicy
+from ..motion.path import Path
 from ..motion.tracking import PathTracker
-from ..path import Path
-from .loop import Progress, TrainingConfig, train
+from ..rollout import follow
+from .configuration import PolicyTrainingConfig
+from .loop import Progress, train
 from .team import Team
 
-__all__ = ["PolicyBatches", "PolicyTrainingConfig", "train_policy", "validate_policy"]
-
-
-@dataclass(frozen=True)
-class PolicyTrainingConfig(TrainingConfig):
-    """How a policy is trained.
-
-    Attributes:
-        batch: steps of demonstrations in a batch.
-    """
-
-    steps: int = 8000
-    batch: int = 1024
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count("batch", self.batch)
+__all__ = ["PolicyBatches", "train_policy", "validate_policy"]
 
 
 class PolicyBatches:
@@ -195,8 +182,6 @@ def fit(
     progress: Progress,
 ) -> P:
     """Train a policy on `parts`, guided and unguided, of `data`; see `train_policy`."""
-    if validation.config.stream == "evaluation":
-        raise InvalidInputError("scenes of the stream evaluation are for evaluations alone")
     if validation.config.dim != model.config.dim:
         raise InvalidInputError(
             f"the validation data are {validation.config.dim}-D, the data {model.config.dim}-D"
@@ -231,8 +216,7 @@ def validate_policy(model: PathPolicy, validation: Dataset, paths: int = 2) -> d
         inner = validation.waypoints[number // paths, index].astype(np.float64)
         plans.append(Path.through(
             np.concatenate([scene.start[None], inner, scene.goals[:1]]),
-            scene, 0, validation.labels[number // paths, index],
-            sigma=config.sigma, alpha=config.alpha, label=config.label,
+            scene, 0, validation.labels[number // paths, index], config.observer,
         ))  # fmt: skip
     env = vector_type(None, config.dim)(len(scenes))
     env.reset(seed=0, options={"scene": scenes})

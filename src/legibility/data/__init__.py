@@ -1,0 +1,1 @@
+"""Labelled trajectories and demonstrations on disk."""

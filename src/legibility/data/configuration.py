@@ -1,0 +1,137 @@
+"""The settings of datasets and of demonstrations; with the code they fix every byte."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+from ..checks import bounded, count, positive
+from ..errors import DatasetError, InvalidInputError
+from ..intent.observer import Observer
+from ..motion.archive import DEFAULT_CELLS
+from .scenes import SceneStream
+
+__all__ = ["DatasetConfig", "DemonstrationsConfig"]
+
+VALIDATION_SCENES = 128
+_NOISE, _PUSH = 0.06, 2.0
+
+
+@dataclass(frozen=True)
+class DatasetConfig:
+    """The settings of a dataset.
+
+    Attributes:
+        dim: 2 or 3.
+        scenes: number of random scenes.
+        seed: of the scenes and their archives.
+        stream: seed stream of the scenes, `train` or `validation`.
+        goals: least and most goals of a scene.
+        per_scene: trajectories chosen from each archive, at equal steps of ℓ.
+        efficiency: among trajectories of nearly the same ℓ, one whose length exceeds the shortest's
+            by |ℓ| times this share of the straight line is chosen e times less often; ℓ = 0 is then
+            the straight line, and no level takes a detour that it does not need.
+        cells: the archive's cells along each axis; 0 means the default of the dimension.
+        observer: whose scores and labels.
+    """
+
+    dim: int = 2
+    scenes: int = 1000
+    seed: int = 0
+    stream: str = "train"
+    goals: tuple[int, int] = (2, 6)
+    per_scene: int = 129
+    efficiency: float = 0.1
+    cells: int = 0
+    observer: Observer = field(default_factory=Observer)
+
+    def __post_init__(self) -> None:
+        count("scenes", self.scenes)
+        count("per_scene", self.per_scene, low=3)
+        if self.stream == "evaluation":
+            raise InvalidInputError(
+                "stream must be train or validation: scenes of evaluation are for evaluations alone"
+            )
+        _ = self.source
+        object.__setattr__(self, "goals", tuple(self.goals))
+        object.__setattr__(self, "observer", self.observer.resolved(self.dim))
+        if count("cells", self.cells, low=0) == 0:
+            object.__setattr__(self, "cells", DEFAULT_CELLS[self.dim])
+        count("cells", self.cells, low=2)
+        positive("efficiency", self.efficiency)
+
+    @property
+    def source(self) -> SceneStream:
+        """The scenes."""
+        return SceneStream(self.stream, self.dim, self.goals, self.seed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for the manifest."""
+        return {**asdict(self), "goals": list(self.goals)}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> DatasetConfig:
+        """The inverse of `to_dict`; keys must match exactly."""
+        if set(content) != {f.name for f in fields(cls)}:
+            raise DatasetError(
+                f"dataset settings missing or unknown: "
+                f"{sorted(set(content) ^ {f.name for f in fields(cls)})}"
+            )
+        observer = Observer(**content["observer"])
+        return cls(**{**content, "goals": tuple(content["goals"]), "observer": observer})
+
+    def for_validation(self) -> DatasetConfig:
+        """The same settings for 128 scenes of the validation stream."""
+        return replace(self, stream="validation", scenes=VALIDATION_SCENES)
+
+
+@dataclass(frozen=True)
+class DemonstrationsConfig:
+    """What demonstrations are made of; together with the dataset and the code it fixes every byte.
+
+    Attributes:
+        demonstrations: how many of each scene; 0 makes none.
+        demonstrated: of how many scenes of the dataset, the first ones; 0 means all.
+        noise: standard deviation of each step's displacement [m], so that states beside the path
+            are seen, and how to get back; 6 % of the largest if not given.
+        pushed: share of the demonstrations with one push.
+        push: how far the robot is pushed [m]; twice the largest displacement of a step if not
+            given.
+    """
+
+    demonstrations: int = 0
+    demonstrated: int = 0
+    noise: float | None = None
+    pushed: float = 0.25
+    push: float | None = None
+
+    def __post_init__(self) -> None:
+        count("demonstrations", self.demonstrations, low=0)
+        count("demonstrated", self.demonstrated, low=0)
+        bounded("pushed", self.pushed, 0, 1)
+        for name in ("noise", "push"):
+            if getattr(self, name) is not None:
+                bounded(name, getattr(self, name), 0)
+
+    def within(self, source: DatasetConfig) -> DemonstrationsConfig:
+        """The same with what is not given set for the robot that demonstrates in a dataset.
+
+        Raises:
+            InvalidInputError: there are not so many scenes or trajectories, or too much noise.
+        """
+        count("demonstrations", self.demonstrations)
+        if self.demonstrations > source.per_scene:
+            raise InvalidInputError(
+                f"demonstrations must be at most {source.per_scene}, the dataset's trajectories of "
+                f"a scene, got {self.demonstrations}"
+            )
+        if self.demonstrated > source.scenes:
+            raise InvalidInputError(
+                f"demonstrated must be at most {source.scenes}, the dataset's scenes, "
+                f"got {self.demonstrated}"
+            )
+        from ..envs import vector_type
+
+        limit = vector_type(None, source.dim).max_displacement
+        noise = bounded("noise", _NOISE * limit if self.noise is None else self.noise, 0, limit)
+        return replace(self, noise=noise, push=_PUSH * limit if self.push is None else self.push)

@@ -1,0 +1,172 @@
+"""Tables on disk in Parquet shards: the same bytes for any number of workers, resumed, verified.
+
+A folder holds a manifest and shards. A shard is either whole or not there, and carries the
+configuration that it was made with, so an interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..errors import DatasetError
+from ..files import file_hash, read_text, write_bytes, write_json
+from ..parallel import pool
+
+__all__ = ["SHARD", "ShardProgress", "flat", "make_shards", "read_shards", "shard_bytes"]
+
+SHARD = 64
+"""Scenes in a shard."""
+
+ShardProgress = Callable[[int, int], None]
+
+_FORMAT = 1
+_CONFIG = b"legibility.config"
+
+
+def shard_bytes(rows: Sequence[dict[str, Any]], config: dict[str, Any]) -> bytes:
+    """A shard of `rows`, with the configuration that they were made with."""
+    columns = {name: pa.array([row[name] for row in rows]) for name in rows[0]}
+    table = pa.table(columns).replace_schema_metadata({_CONFIG: _canonical(config)})
+    with io.BytesIO() as buffer:
+        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+        return buffer.getvalue()
+
+
+def make_shards(
+    folder: Path,
+    manifest: str,
+    config: dict[str, Any],
+    names: Sequence[str],
+    make: Callable[[Any], bytes],
+    counts: dict[str, int],
+    *,
+    source: Callable[[int], Any] = lambda number: number,
+    workers: int = 1,
+    cluster: str | None = None,
+    progress: ShardProgress = lambda done, total: None,
+) -> None:
+    """Make the shards that are missing and the manifest.
+
+    Args:
+        folder: made if it is missing.
+        manifest: its file name.
+        config: plain values, all that the bytes depend on besides the code.
+        names: of the shards.
+        make: a shard's bytes from its source; run in other processes, which send them back to be
+            written here, so that they need not share a folder (a shard is about 1 MB).
+        counts: what the manifest shall say there is.
+        source: of shard i, read here; its number if not given.
+        workers: processes on this machine, see `pool`.
+        cluster: see `pool`.
+        progress: called with the shards done and all of them.
+
+    Raises:
+        DatasetError: the folder holds shards of another configuration.
+        OutputError: the folder cannot be written.
+        WorkerError: there are no workers, or they die again and again.
+    """
+    if (folder / manifest).exists():
+        found = read_manifest(folder, manifest)
+        if found["config"] != config:
+            raise DatasetError(
+                f"{folder} holds a dataset of another configuration; choose another folder"
+            )
+        if found["complete"]:
+            changed = [s["name"] for s in found["shards"] if not _is_the_one(folder, s)]
+            if not changed:
+                return
+            for name in changed:  # made anew
+                (folder / name).unlink(missing_ok=True)
+    content = {"format": _FORMAT, "config": config, "complete": False}
+    with pool(workers, cluster) as each:
+        write_json(folder / manifest, content)
+        for leftover in folder.glob(".*.parquet"):  # of a run that was killed
+            leftover.unlink()
+        missing = [i for i, name in enumerate(names) if not _is_whole(folder / name, config)]
+        done = len(names) - len(missing)
+        progress(done, len(names))
+        for index, shard in each(make, [source(i) for i in missing]):
+            write_bytes(folder / names[missing[index]], shard)
+            done += 1
+            progress(done, len(names))
+    shards = [{"name": n, "sha256": file_hash(folder / n)} for n in names]
+    write_json(folder / manifest, {**content, "complete": True, "counts": counts, "shards": shards})
+
+
+def read_shards(folder: Path, manifest: str, again: str) -> tuple[dict[str, Any], str, pa.Table]:
+    """The configuration, the digest over all shards, and their rows; every hash is checked.
+
+    Args:
+        folder: of the shards.
+        manifest: its file name.
+        again: the command that completes what is not complete.
+
+    Raises:
+        DatasetError: it is missing, incomplete or changed since it was written.
+    """
+    content = read_manifest(folder, manifest)
+    if not content["complete"]:
+        raise DatasetError(f"{folder} is not complete; run the same `{again}` again")
+    try:
+        tables, digest = [], hashlib.sha256()
+        for shard in content["shards"]:
+            path = folder / shard["name"]
+            if not path.exists() or file_hash(path) != shard["sha256"]:
+                raise DatasetError(f"{path} is missing or not as it was written")
+            digest.update(shard["sha256"].encode())
+            tables.append(pq.read_table(path))
+        table = pa.concat_tables(tables).combine_chunks()
+    except DatasetError:
+        raise
+    except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
+        raise DatasetError(f"{folder} has a manifest that is not its own") from cause
+    return content["config"], digest.hexdigest(), table
+
+
+def flat(column: pa.ChunkedArray) -> np.ndarray:
+    """All numbers of a list column, one after another."""
+    return column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+
+
+def read_manifest(folder: Path, manifest: str) -> dict[str, Any]:
+    """The manifest, checked for its form."""
+    text = read_text(folder / manifest, "dataset manifest", DatasetError)
+    try:
+        content = json.loads(text)
+        if not {"config", "complete"} <= content.keys():
+            raise ValueError("config or complete is missing")
+    except (ValueError, AttributeError) as cause:
+        raise DatasetError(f"{folder / manifest} is not a dataset manifest: {cause}") from cause
+    if content.get("format") != _FORMAT:
+        raise DatasetError(
+            f"{folder} has format {content.get('format')}; this version reads {_FORMAT}"
+        )
+    return content
+
+
+def _canonical(config: dict[str, Any]) -> bytes:
+    return json.dumps(config, sort_keys=True).encode()
+
+
+def _is_the_one(folder: Path, shard: dict[str, str]) -> bool:
+    """Whether a shard is as the manifest says that it was written."""
+    path = folder / shard["name"]
+    return path.is_file() and file_hash(path) == shard["sha256"]
+
+
+def _is_whole(path: Path, config: dict[str, Any]) -> bool:
+    """Whether `path` is a shard of `config` that can be read, so that a run may go on from it."""
+    try:
+        metadata = pq.read_table(path, page_checksum_verification=True).schema.metadata or {}
+    except (OSError, pa.ArrowException):
+        return False
+    return metadata.get(_CONFIG) == _canonical(config)

@@ -1,0 +1,115 @@
+"""Drivers: what turns a place on a path into the next displacements of a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .checks import Array
+from .models.path_policy import Observation, PathPolicy
+from .motion.tracking import PathTracker, feedback_action
+
+if TYPE_CHECKING:
+    from .models.onnx import OnnxPathPolicy
+
+__all__ = ["Driver", "Feedback", "Policy", "Replay", "RobotStates"]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotStates:
+    """The robots that need their next actions, `N` of the `B` that are executed together.
+
+    Attributes:
+        rows: `(N,)`, their indices among the `B`.
+        positions: `(N, D)` [m].
+        previous: `(N, D)` [m], one step before.
+        goals: `(N, D)` [m], the intended goals.
+        tracker: their places on their paths.
+    """
+
+    rows: NDArray[np.intp]
+    positions: Array
+    previous: Array
+    goals: Array
+    tracker: PathTracker
+
+
+class Driver(Protocol):
+    """What moves robots.
+
+    Attributes:
+        with_path: whether it follows the path; otherwise progress is measured to the goal.
+    """
+
+    with_path: bool
+
+    def __call__(self, robots: RobotStates) -> Array:
+        """`(N, C, D)` [m], the next C displacements of each robot."""
+        ...
+
+
+class Policy:
+    """Stage 2; with `with_path=False` it sees only the goal."""
+
+    def __init__(
+        self,
+        model: PathPolicy | OnnxPathPolicy,
+        seed: int,
+        steps: int | None = None,
+        with_path: bool = True,
+    ) -> None:
+        self.model, self.steps, self.with_path = model, steps, with_path
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def __call__(self, robots: RobotStates) -> Array:
+        """See `Driver`."""
+        config = self.model.config
+        observation = Observation.of(
+            robots.positions, robots.previous, robots.goals, config.limit,
+            robots.tracker if self.with_path else None,
+        )  # fmt: skip
+        noise = torch.randn(
+            len(robots.rows), config.chunk, config.dim, generator=self.generator,
+            dtype=torch.float32, device="cpu",
+        )  # fmt: skip
+        return self.model.act(observation, noise, self.steps)[:, : config.execute]
+
+
+class Feedback:
+    """The feedback controller that made the demonstrations."""
+
+    with_path = True
+
+    def __call__(self, robots: RobotStates) -> Array:
+        """See `Driver`."""
+        return feedback_action(robots.tracker, robots.positions)[:, None]
+
+
+class Replay:
+    """The path's own displacements over a gain, in open loop: once, then the robot stands still.
+
+    Args:
+        limit: twice the length of a displacement [m].
+        gain: share of a displacement that the robot is assumed to realise.
+    """
+
+    with_path = True
+
+    def __init__(self, limit: float, gain: float = 1.0) -> None:
+        self.limit, self.gain = limit, gain
+        self._sent: set[int] = set()
+
+    def __call__(self, robots: RobotStates) -> Array:
+        """See `Driver`."""
+        step, tracker = self.limit / 2, robots.tracker
+        number = int(np.ceil(tracker.lengths.max() / step)) + 1
+        arc = np.minimum(step * np.arange(number), tracker.lengths[:, None])
+        actions = np.diff(tracker.points(arc), axis=1) / self.gain
+        rows = robots.rows.tolist()
+        actions[[row in self._sent for row in rows]] = 0
+        self._sent.update(rows)
+        return actions

@@ -1,0 +1,351 @@
+"""Executed motions side by side, with what the observer believes under each: a picture or a film.
+
+A viewer sees when the intent becomes clear: a trail has the colour of what the observer believes at
+that moment, and a diamond marks from where on the target is believed for good.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from matplotlib import rcParams, style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..envs.colors import INK, MUTED
+from ..errors import InvalidInputError, OutputError
+from ..evaluation.statistics import CONFIDENT, clear_step
+from ..files import atomic_path
+from ..rollout import Rollout
+from ..scene import Scene
+from .dial import STYLE, figure_file, goal_colors
+from .views import DOTTED, ArmView, DrawnView, View, add_artist, diamond
+
+Picture = NDArray[np.uint8]
+
+__all__ = ["FILMS", "MOST", "check_film", "check_number", "execution_figure", "execution_film"]
+
+FILMS = (".gif", ".mp4")
+"""Formats of a film."""
+
+MOST = 25
+"""Motions that are shown side by side."""
+
+_COLUMNS = 5
+_DPI = {".gif": 110, ".mp4": 200}
+_EXACT = 48
+_KEYS = 5
+_HOLD = 1.5
+"""How long a film stands still at its end [s]."""
+
+
+def check_film(file: str | FilePath) -> None:
+    """Raise if a film of this name cannot be written here.
+
+    Raises:
+        OutputError: another suffix, or what writes it is not installed.
+    """
+    suffix = FilePath(file).suffix.lower()
+    if suffix not in FILMS:
+        raise OutputError(f"cannot write the film {file}: its name must end in {', '.join(FILMS)}")
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        raise OutputError(f"cannot write the film {file}: .mp4 needs ffmpeg; .gif does not")
+
+
+def check_number(number: int) -> None:
+    """Raise if so many motions cannot be shown side by side."""
+    if not 1 <= number <= MOST:
+        raise InvalidInputError(f"a picture or film shows 1 to {MOST} motions, got {number}")
+
+
+def execution_figure(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
+    """Draw executed motions side by side and the observer's belief over time under each.
+
+    Args:
+        rollouts: in one scene, toward one target.
+        file: where to; .png, .pdf or .svg.
+
+    Raises:
+        InvalidInputError: there are none, or too many.
+        OutputError: another suffix, or the file cannot be written.
+    """
+    check_number(len(rollouts))
+    layout = _Layout(len(rollouts), rollouts[0].path.scene)
+    with figure_file(file, *layout.size) as figure:
+        stage = _Stage(figure, layout, rollouts, rcParams["savefig.dpi"])
+        stage.show(stage.last)
+
+
+def execution_film(
+    rollouts: Sequence[Rollout],
+    file: str | FilePath,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
+    """Film executed motions side by side, in real time, a frame a control step.
+
+    Args:
+        rollouts: in one scene, toward one target.
+        file: where to; .gif, or .mp4 where ffmpeg is installed.
+        progress: called with frames done and to do.
+
+    Raises:
+        InvalidInputError: there are none, or too many.
+        OutputError: another suffix, or the file cannot be written.
+    """
+    check_film(file)
+    check_number(len(rollouts))
+    suffix = FilePath(file).suffix.lower()
+    layout = _Layout(len(rollouts), rollouts[0].path.scene)
+    write = _write_gif if suffix == ".gif" else _write_mp4
+    with style.context(["default", STYLE]), atomic_path(file) as temporary:
+        figure = Figure(layout.size, dpi=_DPI[suffix])
+        stage = _Stage(figure, layout, rollouts, figure.dpi)
+        write(temporary, *stage.frames(progress), rollouts[0].step_seconds)
+
+
+class _Layout:
+    """Where everything is [in], so that scenes and panels of all motions are aligned exactly."""
+
+    def __init__(self, number: int, scene: Scene) -> None:
+        self.rows = -(-number // _COLUMNS)
+        self.columns = -(-number // self.rows)
+        extent = scene.workspace[1] - scene.workspace[0]
+        width = 2.2 if self.columns < 3 else 1.62
+        height = width * (np.clip(extent[1] / extent[0], 0.5, 1.5) if scene.dim == 2 else 0.9)
+        self.key_columns = (1, 2, 2, 3, 5)[self.columns - 1]
+        self.key = 0.06 + 0.165 * -(-_KEYS // self.key_columns)
+        self.widths = [0.42, *[width, 0.12] * self.columns]
+        self.heights = [*[0.38, height, 0.22, 0.8, 0.36] * self.rows, self.key]
+        self.size = sum(self.widths), sum(self.heights)
+
+    def grid(self, figure: Figure) -> GridSpec:
+        """The cells, gaps included."""
+        return figure.add_gridspec(
+            len(self.heights), len(self.widths), left=0, right=1, bottom=0, top=1, wspace=0,
+            hspace=0, width_ratios=self.widths, height_ratios=self.heights,
+        )  # fmt: skip
+
+
+class _Stage:
+    """The axes of all motions, and how they look at a time."""
+
+    def __init__(
+        self, figure: Figure, layout: _Layout, rollouts: Sequence[Rollout], dpi: float
+    ) -> None:
+        self.figure = figure
+        self.last = max(len(rollout.actions) for rollout in rollouts)
+        path = rollouts[0].path
+        self.colors = goal_colors(path.scene.num_goals, path.target)
+        figure.set_layout_engine("none")
+        cells = layout.grid(figure)
+        self.motions = []
+        for number, rollout in enumerate(rollouts):
+            row, column = divmod(number, layout.columns)
+            panel = figure.add_subplot(
+                cells[5 * row + 3, 2 * column + 1],
+                xlim=(0, self.last * rollouts[0].step_seconds),
+                ylim=(-0.04, 1.06),
+            )
+            panel.set_yticks((0, 0.5, 1), ("0", "½", "1"))
+            panel.locator_params(axis="x", nbins=4)
+            panel.xaxis.set_major_formatter("{x:g}")
+            if number + layout.columns >= len(rollouts):
+                panel.set_xlabel("time [s]")
+            if column == 0:
+                panel.set_ylabel("belief $P(g|x_t)$")
+            else:
+                panel.tick_params(labelleft=False)
+            cell = cells[5 * row + 1, 2 * column + 1]
+            view = (
+                ArmView(figure, cell, rollout, dpi)
+                if rollout.joint_angles.size
+                else DrawnView(figure, cell, rollout)
+            )
+            self.motions.append(_Motion(view, panel, rollout, self.colors))
+        self._add_key(layout, path.target)
+
+    def _add_key(self, layout: _Layout, target: int) -> None:
+        others = [color for goal, color in enumerate(self.colors) if goal != target]
+
+        def square(color: str) -> Line2D:
+            return Line2D([], [], ls="", marker="s", ms=4.5, color=color)
+
+        def line(color: str) -> Line2D:
+            return Line2D([], [], color=color, lw=2)
+
+        entries: list[tuple[Any, str]] = [
+            (square(self.colors[target]), "target"),
+            (tuple(map(square, others[:2])), "other goal" + "s" * (len(others) > 1)),
+            (Line2D([], [], color=INK, lw=0.7, ls=DOTTED), "planned"),
+            (
+                tuple(map(line, (self.colors[target], others[0]))),
+                "executed; colour: what is believed",
+            ),
+            (diamond([], []), rf"clear: $P(\mathrm{{target}})$ ≥ {CONFIDENT:g} for good"),
+        ]
+        handles, labels = zip(*entries, strict=True)
+        self.figure.legend(
+            handles, labels, loc="lower center", borderpad=0, borderaxespad=0.4, columnspacing=1.5,
+            ncols=layout.key_columns, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.2)},
+        )  # fmt: skip
+
+    def show(self, step: int) -> None:
+        """How it looks after `step` control steps."""
+        for motion in self.motions:
+            motion.show(step)
+
+    def frames(self, progress: Callable[[int, int], None]) -> tuple[Picture, Iterator[Picture]]:
+        """How it looks in the end, `(H, W, 3)`, and at each control step."""
+        canvas = FigureCanvasAgg(self.figure)
+        moving = [artist for motion in self.motions for artist in motion.moving]
+        for artist in moving:
+            artist.set_animated(True)
+        canvas.draw()
+        ground = canvas.copy_from_bbox(self.figure.bbox)
+
+        def picture(step: int) -> Picture:
+            canvas.restore_region(ground)
+            self.show(step)
+            for artist in moving:
+                artist.axes.draw_artist(artist)
+            return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+        def pictures() -> Iterator[Picture]:
+            for step in range(self.last + 1):
+                progress(step, self.last + 1)
+                yield picture(step)
+
+        return picture(self.last), pictures()
+
+
+class _Motion:
+    """One motion and the belief under it."""
+
+    def __init__(self, view: View, panel: Any, rollout: Rollout, colors: list[str]) -> None:
+        target = rollout.path.target
+        self.view = view
+        self.beliefs = rollout.posterior
+        self.last = len(rollout.actions)
+        self.seconds = rollout.step_seconds
+        self.times = np.arange(self.last + 1) * self.seconds
+        clear = clear_step(self.beliefs, target)
+        self.clear = self.last + 1 if clear is None else clear
+        blended = self.beliefs @ np.array([to_rgb(color) for color in colors])
+        self.tints = (blended[1:] + blended[:-1]) / 2
+
+        achieved = f"{round(rollout.achieved, 2) + 0:.2f}"  # + 0: never −0.00
+        ended = "" if rollout.success else f", {rollout.reason}"
+        title = rf"$\ell$ = {rollout.legibility:g}" + f"\nachieved {achieved}{ended}"
+        view.axes.set_title(title.replace("-", "−"))
+        self.label = panel.set_title("", fontsize=7, pad=2)
+        panel.axhline(CONFIDENT, color=MUTED, lw=0.6, ls=DOTTED, zorder=0)
+        self.lines = [
+            add_artist(Line2D([], [], color=color, lw=1.8 if goal == target else 1.1,
+                        zorder=5 if goal == target else 4), panel)
+            for goal, color in enumerate(colors)
+        ]  # fmt: skip
+        at = slice(self.clear, self.clear + 1)
+        self.moment = add_artist(diamond(self.times[at], self.beliefs[at, target]), panel)
+        self.shade = add_artist(
+            Rectangle((self.clear * self.seconds, -0.04), 0, 1.1, color=colors[target], alpha=0.15,
+                      lw=0, zorder=1), panel,
+        )  # fmt: skip
+        self.moving = sorted(
+            [*view.moving, self.shade, *self.lines, self.moment, self.label],
+            key=lambda artist: artist.get_zorder(),
+        )
+
+    def show(self, step: int) -> None:
+        """How it looks after `step` control steps."""
+        step = min(step, self.last)
+        clear = step >= self.clear
+        self.view.show(step, self.tints[:step], self.clear if clear else None)
+        for goal, line in enumerate(self.lines):
+            line.set_data(self.times[: step + 1], self.beliefs[: step + 1, goal])
+        for artist in (self.moment, self.shade):
+            artist.set_visible(clear)
+        self.shade.set_width(max(0, step - self.clear) * self.seconds)
+        if clear:
+            after = f"after {self.clear * self.seconds:.2f} s" if self.clear else "from the start"
+            self.label.set_text(f"clear {after}")
+        else:
+            self.label.set_text("never clear" if step == self.last else "")
+
+
+def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
+    palette = _Palette(final)  # one for all, so that it is kept once
+    frames = map(palette.image, pictures)
+    hold = [palette.image(final)] * round(_HOLD / seconds)  # kept as one frame that lasts
+    next(frames).save(
+        file, format="GIF", save_all=True, append_images=itertools.chain(frames, hold),
+        duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
+    )  # fmt: skip
+
+
+class _Palette:
+    """255 colours of a picture: the most frequent exactly, and some for all the rest."""
+
+    def __init__(self, picture: Picture) -> None:
+        red, green, blue = np.moveaxis(picture.astype(np.uint32), -1, 0)
+        found, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)
+        found = found[np.argsort(-counts, kind="stable")[:_EXACT]]
+        kept = np.stack([found >> 16, found >> 8 & 255, found & 255], axis=-1).astype(np.uint8)
+        rest = Image.fromarray(picture).quantize(255 - len(kept), Image.Quantize.MAXCOVERAGE)
+        more = np.array(rest.getpalette(), dtype=np.uint8).reshape(-1, 3)
+        self.colors = np.concatenate([kept, more])[:255]
+        # The nearest colour of each bin of colours, by its middle.
+        red, green, blue = np.unravel_index(np.arange(2**16), (32, 64, 32))
+        middle = np.stack([red * 255 / 31, green * 255 / 63, blue * 255 / 31], axis=-1)
+        colors = self.colors.astype(np.float64)
+        near = (colors**2).sum(-1) - 2 * middle @ colors.T
+        self.nearest = near.argmin(-1).astype(np.uint8)
+        self.nearest[self._bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
+
+    @staticmethod
+    def _bins(colors: Picture) -> NDArray[np.uint16]:
+        red, green, blue = np.moveaxis(colors.astype(np.uint16), -1, 0)
+        return (red >> 3) << 11 | (green >> 2) << 5 | blue >> 3
+
+    def image(self, picture: Picture) -> Image.Image:
+        """The picture `(H, W, 3)` in these colours."""
+        image = Image.fromarray(self.nearest[self._bins(picture)])
+        image.putpalette(self.colors.tobytes())
+        return image
+
+
+def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
+    height, width, _ = final.shape
+    rate = round(1 / seconds)
+    command = [
+        "ffmpeg", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24",
+        "-s", f"{width}x{height}", "-r", str(rate), "-i", "-",
+        "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-pix_fmt", "yuv420p",
+        "-movflags", "+faststart", str(file),
+    ]  # fmt: skip
+    hold = itertools.repeat(final, round(_HOLD * rate))
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        assert encoder.stderr is not None
+        try:
+            for picture in itertools.chain(pictures, hold):
+                encoder.stdin.write(picture.tobytes())
+            encoder.stdin.close()
+        except BrokenPipeError:  # it has ended and says why
+            pass
+        said = encoder.stderr.read().decode(errors="replace").strip()
+    if encoder.returncode:
+        raise OSError(f"ffmpeg: {said or f'exit status {encoder.returncode}'}")

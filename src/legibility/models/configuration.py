@@ -1,0 +1,172 @@
+"""The settings that fix a network's shape and meaning, as `config.json` stores them."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Self
+
+from ..checks import bounded, count, positive
+from ..curves import NUM_WAYPOINTS
+from ..errors import CheckpointError, InvalidInputError
+from ..intent.observer import Observer
+
+__all__ = ["ActionConfig", "GoalPolicyConfig", "PathDiffuserConfig", "PathPolicyConfig"]
+
+
+@dataclass(frozen=True)
+class _NetworkConfig:
+    """What all settings share: the dimension, the sampler, and the form in `config.json`."""
+
+    dim: int = 2
+    channels: tuple[int, ...] = ()
+    condition: int = 128
+    diffusion_steps: int = 100
+    sampling_steps: int = 2
+
+    def __post_init__(self) -> None:
+        if self.dim not in (2, 3):
+            raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
+        for width in self.channels:
+            if count("channels", width) % 8:
+                raise InvalidInputError(f"channels must be multiples of 8, got {width}")
+        count("condition", self.condition)
+        count("diffusion_steps", self.diffusion_steps)
+        if count("sampling_steps", self.sampling_steps) > self.diffusion_steps:
+            raise InvalidInputError(
+                f"sampling_steps must be at most {self.diffusion_steps}, got {self.sampling_steps}"
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for `config.json`."""
+        return {**asdict(self), "channels": list(self.channels)}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Self:
+        """The inverse of `to_dict`; keys must match exactly."""
+        names = {f.name for f in fields(cls)}
+        if set(content) != names:
+            raise CheckpointError(
+                f"a {cls.__name__} has the settings {sorted(names)}; "
+                f"missing or unknown: {sorted(names ^ set(content))}"
+            )
+        return cls(**{**content, "channels": tuple(content["channels"])})
+
+
+@dataclass(frozen=True)
+class PathDiffuserConfig(_NetworkConfig):
+    """The shape of stage 1 and the meaning of its labels.
+
+    Attributes:
+        dim: D, 2 or 3.
+        observer: whose labels it learned.
+        field: whether it sees the field; without it, it knows start, goal, workspace and ℓ alone.
+        channels: of the U-Net's levels.
+        condition: size of the condition.
+        encoder_width: channels of the image encoder's first layer.
+        resolution: height and width of the image.
+        squash: deviations from the straight line, in its lengths, beyond which they are compressed
+            (by asinh), so that small ones are learned as exactly as large ones.
+        diffusion_steps: of the noise schedule in training.
+        sampling_steps: of the deterministic sampler.
+        guidance: weight w of classifier-free guidance (Ho & Salimans 2022) at ℓ = ±1:
+            v̂ = v(c) + w ℓ⁴ (v(c) − v(∅)). It works at the ends alone, where samples can only err
+            inwards; between them it would overshoot.
+        distilled: whether it is a student, which samples with its own steps and guidance only.
+    """
+
+    channels: tuple[int, ...] = (64, 128)
+    condition: int = 192
+    sampling_steps: int = 3
+    observer: Observer = dataclasses.field(default_factory=Observer)
+    field: bool = True
+    encoder_width: int = 16
+    resolution: int = 32
+    squash: float = 0.1
+    guidance: float = 0.3
+    distilled: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.observer, Observer):
+            raise InvalidInputError(f"observer must be a legibility.Observer, got {self.observer}")
+        object.__setattr__(self, "observer", self.observer.resolved(self.dim))
+        for name in ("field", "distilled"):
+            if not isinstance(getattr(self, name), bool):
+                raise InvalidInputError(
+                    f"{name} must be true or false, got {getattr(self, name)!r}"
+                )
+        if not self.channels or NUM_WAYPOINTS % 2 ** (len(self.channels) - 1):
+            raise InvalidInputError(f"channels must be of 1 to 4 levels, got {self.channels}")
+        for name in ("encoder_width", "resolution"):
+            if count(name, getattr(self, name)) % 8:
+                raise InvalidInputError(
+                    f"{name} must be a multiple of 8, got {getattr(self, name)}"
+                )
+        positive("squash", self.squash)
+        bounded("guidance", self.guidance, -1e3, 1e3)
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Self:
+        """The inverse of `to_dict`; keys must match exactly."""
+        return super().from_dict({**content, "observer": Observer(**content["observer"])})
+
+
+@dataclass(frozen=True)
+class ActionConfig(_NetworkConfig):
+    """The shape of a policy.
+
+    Attributes:
+        dim: D, 2 or 3.
+        limit: largest displacement of an action along each axis [m]; the unit of all its lengths.
+        chunk: actions predicted at once; even.
+        execute: how many of them are executed before the next are predicted.
+        channels: of the U-Net's levels.
+        condition: size of the condition.
+        diffusion_steps: of the noise schedule in training.
+        sampling_steps: of the deterministic sampler.
+    """
+
+    channels: tuple[int, ...] = (32, 64)
+    limit: float = 0.05
+    chunk: int = 8
+    execute: int = 4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive("limit", self.limit)
+        if not self.channels or count("chunk", self.chunk) % 2 ** (len(self.channels) - 1):
+            raise InvalidInputError(
+                f"chunk must be a multiple of {2 ** max(0, len(self.channels) - 1)}, "
+                f"got {self.chunk} with channels {self.channels}"
+            )
+        if count("execute", self.execute) > self.chunk:
+            raise InvalidInputError(f"execute must be at most {self.chunk}, got {self.execute}")
+
+
+@dataclass(frozen=True)
+class PathPolicyConfig(ActionConfig):
+    """The shape of stage 2."""
+
+
+@dataclass(frozen=True)
+class GoalPolicyConfig(ActionConfig):
+    """The shape of a baseline's policy and its guidance.
+
+    Attributes:
+        guidance: w, weight of the guidance at the start of a motion; 0 is a plain policy.
+        guidance_decay: γ, by which w is multiplied after every executed chunk.
+        guidance_share: a, share of the guidance that leads away from the other goals; the rest
+            leads away from the unconditional prediction.
+    """
+
+    sampling_steps: int = 10
+    guidance: float = 0.0
+    guidance_decay: float = 1.0
+    guidance_share: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        bounded("guidance", self.guidance, 0)
+        bounded("guidance_decay", self.guidance_decay, 0, 1)
+        bounded("guidance_share", self.guidance_share, 0, 1)

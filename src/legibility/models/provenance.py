@@ -1,0 +1,85 @@
+"""How weights were made, as `config.json` records it beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["TeacherRecord", "TrainingRecord"]
+
+
+@dataclass(frozen=True)
+class TrainingRecord:
+    """How the weights of one stage were made.
+
+    Attributes:
+        data: settings of the dataset.
+        digest: hash of the data, or of the demonstrations that were learned from.
+        training: settings of the training.
+        parameters: number of parameters.
+        seconds: duration of the training, validation included [s].
+        step_seconds: duration of a step, the fastest tenth of the log [s].
+        device: where it ran.
+        processes: how many trained together.
+        precision: of the network's products.
+        threads: of each process.
+        torch: version of PyTorch.
+        demonstrations: settings and number of the demonstrations, of a policy.
+        teacher: of a model that was distilled.
+    """
+
+    data: dict[str, Any]
+    digest: str
+    training: dict[str, Any]
+    parameters: int
+    seconds: float
+    step_seconds: float
+    device: str
+    processes: int
+    precision: str
+    threads: int
+    torch: str
+    demonstrations: dict[str, Any] | None = None
+    teacher: TeacherRecord | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, without those that do not apply."""
+        content = {name: value for name, value in vars(self).items() if value is not None}
+        return content | ({"teacher": self.teacher.to_dict()} if self.teacher else {})
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> TrainingRecord:
+        """The inverse of `to_dict`.
+
+        Raises:
+            TypeError: a key is missing or unknown.
+        """
+        teacher = content.get("teacher")
+        return cls(**{**content, "teacher": teacher and TeacherRecord.from_dict(teacher)})
+
+
+@dataclass(frozen=True)
+class TeacherRecord:
+    """The model that a student was distilled from.
+
+    Attributes:
+        sha256: of its weights.
+        sampling_steps: of its sampler.
+        guidance: its weight of classifier-free guidance.
+        training: how it was made itself; None if that is not known.
+    """
+
+    sha256: str
+    sampling_steps: int
+    guidance: float
+    training: TrainingRecord | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return {**vars(self), "training": self.training and self.training.to_dict()}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> TeacherRecord:
+        """The inverse of `to_dict`."""
+        training = content["training"]
+        return cls(**{**content, "training": training and TrainingRecord.from_dict(training)})

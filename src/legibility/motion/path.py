@@ -1,0 +1,106 @@
+"""A path: start, waypoints, goal, and the curve through them as an observer reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ..checks import Array, count
+from ..curves import NUM_WAYPOINTS, arc_length, path_curve
+from ..intent.field import InformationPotentialField
+from ..intent.metrics import SCORE_POINTS
+from ..intent.observer import Observer
+from ..scene import Scene
+from .archive import Archive, build_archive
+
+__all__ = ["Path", "scene_archive", "straight_waypoints"]
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """One path, or `B` of them, from the start of a scene to the intended goal.
+
+    Attributes:
+        scene: the scene.
+        target: index of the intended goal.
+        legibility: the asked ℓ, a number or `(B,)`.
+        waypoints: `(K + 2, D)` or `(B, K + 2, D)` [m]: start, K = 8 waypoints, goal; inside the
+            workspace.
+        clipped: bool or `(B,)`, whether the drawn curve left the workspace and was moved back to
+            its wall.
+        observer: the one whose labels ℓ means.
+    """
+
+    scene: Scene
+    target: int
+    legibility: Array
+    waypoints: Array
+    clipped: np.ndarray | np.bool
+    observer: Observer
+
+    @classmethod
+    def through(
+        cls,
+        waypoints: Array,
+        scene: Scene,
+        target: int,
+        legibility: Array,
+        observer: Observer,
+    ) -> Path:
+        """A path through `waypoints (B?, K + 2, D)` [m], brought into the workspace."""
+        inside = scene.contains(path_curve(waypoints, SCORE_POINTS), 1e-6).all(-1)
+        waypoints = np.clip(waypoints, *scene.workspace)
+        return cls(scene, target, legibility, waypoints, ~inside, observer)
+
+    @property
+    def field(self) -> InformationPotentialField:
+        """The observer's field of the scene."""
+        return self.observer.field(self.scene)
+
+    def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
+        """The smooth curve through the waypoints, `(B?, num_points, D)` [m], in the workspace."""
+        curve = path_curve(self.waypoints, count("num_points", num_points, low=2))
+        curve[..., [0, -1], :] = self.waypoints[..., [0, -1], :]  # free of rounding
+        return np.clip(curve, *self.scene.workspace)
+
+    @cached_property
+    def score(self) -> Array:
+        """`legibility_score` of the trajectory, `(B?)`; higher = more legible."""
+        return self.observer.score(self.trajectory(), self.scene, self.target)
+
+    @property
+    def length(self) -> Array:
+        """Length [m] of the trajectory, `(B?)`."""
+        return arc_length(self.trajectory())
+
+    @property
+    def archive(self) -> Archive:
+        """The scene's archive, built on first use."""
+        return scene_archive(self.scene, self.target, self.observer)
+
+    @cached_property
+    def achieved(self) -> Array:
+        """The label in [−1, 1] that the trajectory achieves in the scene's archive, `(B?)`."""
+        return self.archive.label_of(self.score)
+
+    def __getitem__(self, index: int) -> Path:
+        """The path of one level of several."""
+        return replace(
+            self,
+            legibility=self.legibility[index],
+            waypoints=self.waypoints[index],
+            clipped=np.asarray(self.clipped)[index],
+        )
+
+
+def straight_waypoints(start: Array, goal: Array) -> Array:
+    """`(K + 2, D)` [m], the straight line from `start` to `goal (D,)` [m] as a path."""
+    return start + np.linspace(0, 1, NUM_WAYPOINTS + 2)[:, None] * (goal - start)
+
+
+@lru_cache(maxsize=32)
+def scene_archive(scene: Scene, target: int, observer: Observer) -> Archive:
+    """The archive of a scene, cached."""
+    return build_archive(scene, target, observer=observer)

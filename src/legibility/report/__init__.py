@@ -1,0 +1,1 @@
+"""Tables and model cards, rendered from the JSON of measurements."""

@@ -1,0 +1,280 @@
+"""Closed-loop execution: robots follow their paths until each reaches its goal or is stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import Array
+from .curves import NUM_WAYPOINTS, resample
+from .drivers import Driver, RobotStates
+from .envs.fleet import Fleet
+from .envs.guard import safe_actions
+from .errors import InvalidInputError
+from .intent.metrics import SCORE_POINTS
+from .motion.path import Path
+from .motion.tracking import PathTracker
+
+__all__ = ["Replan", "Rollout", "follow"]
+
+Replan = Callable[[list[int], Array], list[Path]]
+"""New paths for some robots, given their indices and positions `(N, D)` [m]."""
+
+_PATIENCE = 2.0
+_PROGRESS = 0.2
+_LOST = 6.0
+_RESTARTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """One executed motion.
+
+    Attributes:
+        path: the path as first planned; its scene is the scene at the start.
+        states: `(T + 1, D)` [m], positions from the start on.
+        actions: `(T, D)` [m], the displacements that were sent.
+        success: whether the robot reached its goal, as the environment judges.
+        reason: why it ended: `reached`, `stalled` (no progress along the path), `lost` (far from
+            the path) or `time` (the environment's limit on steps).
+        replans: the steps at which a new path was planned.
+        deviation: `(T,)` [m], distance from the path that was followed at the time.
+        step_seconds: duration of a control step [s].
+        wall_contacts: steps in which a wall of the workspace stopped the robot.
+        joint_angles: `(T + 1, J)` [rad], of an arm; J = 0 where there is none.
+        counts: other events that the environment counted, by name.
+    """
+
+    path: Path
+    states: Array
+    actions: Array
+    success: bool
+    reason: str
+    replans: tuple[int, ...]
+    deviation: Array
+    step_seconds: float
+    wall_contacts: int
+    joint_angles: Array = field(default_factory=lambda: np.empty((0, 0)))
+    counts: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def legibility(self) -> float:
+        """ℓ as asked."""
+        return float(self.path.legibility)
+
+    def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
+        """The motion at equal arc length, `(num_points, D)` [m]."""
+        return resample(self.states, num_points)
+
+    @property
+    def posterior(self) -> Array:
+        """P(g) of each goal at each state as the observer reads it, `(T + 1, G)`."""
+        return self.path.field.posterior(self.states)
+
+    @cached_property
+    def score(self) -> float:
+        """`legibility_score` of the executed motion; higher = more legible."""
+        path = self.path
+        return float(path.observer.score(self.trajectory(), path.scene, path.target))
+
+    @property
+    def achieved(self) -> float:
+        """The label in [−1, 1] that the executed motion achieves in the scene's archive."""
+        return float(self.path.archive.label_of(self.score))
+
+
+@np.errstate(under="ignore")
+def follow(
+    fleet: Fleet,
+    paths: list[Path],
+    driver: Driver,
+    *,
+    replan: Replan | None = None,
+    tolerance: float = np.inf,
+) -> list[Rollout]:
+    """Let the robots follow their paths until each has reached its goal or is stopped.
+
+    Every action passes `safe_actions` before it is sent, whatever the driver returns. A robot
+    that makes no progress for two seconds is stopped, and so is one far from its path, unless it
+    may replan.
+
+    Args:
+        fleet: `B` robots.
+        paths: a path for each, from its position.
+        driver: moves them.
+        replan: gives new paths to robots that a push has taken off theirs by more than `tolerance`
+            and to robots whose goal was moved; without it they go back to their path.
+        tolerance: [m].
+
+    Raises:
+        InvalidInputError: a path is not finite, has other waypoints or starts elsewhere.
+    """
+    _check_paths(paths, fleet)
+    run = _Run(fleet, paths, driver)
+    while run.active.any():
+        run.step(run.next_actions())
+        run.stop_ended(may_replan=replan is not None)
+        if replan is not None:
+            run.replan(replan, tolerance)
+    return run.rollouts(paths)
+
+
+class _Run:
+    """The state of `B` robots while they follow their paths, and the record of their motions."""
+
+    def __init__(self, fleet: Fleet, paths: list[Path], driver: Driver) -> None:
+        size, limit = fleet.size, fleet.limit
+        self.fleet, self.driver = fleet, driver
+        waypoints = np.stack([path.waypoints for path in paths])
+        self.tracker = PathTracker(waypoints, limit, fleet.workspace)
+        self.goals = waypoints[:, -1]
+        self.positions = self.previous = fleet.positions
+        self.chunks: list[Array] = [np.empty((0, self.goals.shape[1]))] * size
+        self.active = np.ones(size, dtype=bool)
+        self.success, self.ended = np.zeros((2, size), dtype=bool)
+        self.reasons = np.full(size, "", dtype=object)
+        self.timer = _StallTimer(
+            size, patience=round(_PATIENCE / fleet.step_seconds), progress=_PROGRESS * limit
+        )
+        self.restarts = np.zeros(size, dtype=int)
+        self.replans: list[list[int]] = [[] for _ in range(size)]
+        self.steps, self.wall_contacts = np.zeros((2, size), dtype=int)
+        self.counts = {name: np.zeros(size, dtype=int) for name in fleet.counts}
+        self.states, self.joint_angles = [self.positions], [fleet.joint_angles]
+        self.actions: list[Array] = []
+        self.deviations: list[Array] = []
+
+    def next_actions(self) -> Array:
+        """The next displacement of each robot, made safe, `(B, D)` [m]; 0 for those that ended."""
+        rows = np.flatnonzero(self.active & np.array([not len(c) for c in self.chunks]))
+        if len(rows):
+            robots = RobotStates(
+                rows, self.positions[rows], self.previous[rows], self.goals[rows],
+                self.tracker.of(rows),
+            )  # fmt: skip
+            for row, chunk in zip(rows, self.driver(robots), strict=True):
+                self.chunks[row] = chunk
+        wanted = np.zeros_like(self.positions)
+        for row in np.flatnonzero(self.active):
+            wanted[row], self.chunks[row] = self.chunks[row][0], self.chunks[row][1:]
+        fleet, velocities = self.fleet, self.positions - self.previous
+        actions = safe_actions(
+            wanted, self.positions, velocities, fleet.workspace, fleet.limit, fleet.lag
+        )
+        actions[~self.active] = 0
+        return actions
+
+    def step(self, actions: Array) -> None:
+        """Send the actions and record the step."""
+        fleet, active = self.fleet, self.active
+        self.success, self.ended = fleet.step(actions, active)
+        self.previous = self.positions
+        self.positions = np.where(active[:, None], fleet.positions, self.positions)
+        self.tracker.update(self.positions, self.previous)
+        self.states.append(self.positions)
+        self.joint_angles.append(fleet.joint_angles)
+        self.actions.append(actions)
+        self.deviations.append(self.tracker.distance(self.positions))
+        self.steps += active
+        self.wall_contacts += active & fleet.wall_contacts
+        for name, number in fleet.counts.items():
+            self.counts[name][active] = number[active]
+
+    def stop_ended(self, *, may_replan: bool) -> None:
+        """Note why robots end that do; progress is along the path, or to the goal without one."""
+        deviation = self.deviations[-1]
+        if self.driver.with_path:
+            remaining = self.tracker.remaining + deviation
+            lost = deviation > (np.inf if may_replan else _LOST * self.fleet.limit)
+        else:
+            remaining = np.linalg.norm(self.positions - self.goals, axis=-1)
+            lost = np.zeros_like(self.active)
+        stalled = self.timer.update(remaining)
+        for reason, happened in (
+            ("reached", self.success),
+            ("time", self.ended),
+            ("lost", lost),
+            ("stalled", stalled),
+        ):
+            self.reasons[self.active & happened & (self.reasons == "")] = reason
+        self.active &= self.reasons == ""
+
+    def replan(self, plan: Replan, tolerance: float) -> None:
+        """Give new paths to robots that were pushed off theirs or whose goal was moved."""
+        goals = self.fleet.goals
+        moved = np.linalg.norm(goals - self.goals, axis=-1) > 1e-9
+        rows = np.flatnonzero(self.active & (moved | (self.deviations[-1] > tolerance)))
+        if not len(rows):
+            return
+        paths = plan(rows.tolist(), self.positions[rows])
+        self.tracker.replace(rows, np.stack([path.waypoints for path in paths]))
+        self.goals[rows] = goals[rows]
+        # A robot that leaves every new path as well restarts its stall timer only a few times.
+        fresh = rows[moved[rows] | (self.restarts[rows] < _RESTARTS)]
+        self.timer.restart(fresh)
+        self.restarts[fresh] += 1
+        for row in rows:
+            self.chunks[row] = self.chunks[row][:0]
+            self.replans[row].append(int(self.steps[row]))
+
+    def rollouts(self, paths: list[Path]) -> list[Rollout]:
+        """The motions of all robots, each up to its own end."""
+        states, joint_angles = np.stack(self.states, 1), np.stack(self.joint_angles, 1)
+        actions, deviations = np.stack(self.actions, 1), np.stack(self.deviations, 1)
+        return [
+            Rollout(
+                path=path,
+                states=states[i, : steps + 1],
+                actions=actions[i, :steps],
+                success=self.reasons[i] == "reached",
+                reason=str(self.reasons[i]),
+                replans=tuple(self.replans[i]),
+                deviation=deviations[i, :steps],
+                step_seconds=self.fleet.step_seconds,
+                wall_contacts=int(self.wall_contacts[i]),
+                joint_angles=joint_angles[i, : steps + 1],
+                counts={name: int(number[i]) for name, number in self.counts.items()},
+            )
+            for i, (path, steps) in enumerate(zip(paths, self.steps.tolist(), strict=True))
+        ]
+
+
+class _StallTimer:
+    """Steps since each robot last came closer to its goal by `progress` [m]."""
+
+    def __init__(self, size: int, patience: int, progress: float) -> None:
+        self.patience, self.progress = patience, progress
+        self.least = np.full(size, np.inf)
+        self.idle = np.zeros(size, dtype=int)
+
+    def update(self, remaining: Array) -> NDArray[np.bool_]:
+        """Whether each robot has stalled, `(B,)`, now that `remaining (B,)` [m] are left."""
+        closer = remaining < self.least - self.progress
+        self.least = np.where(closer, remaining, self.least)
+        self.idle = np.where(closer, 0, self.idle + 1)
+        return self.idle >= self.patience
+
+    def restart(self, rows: NDArray[np.intp]) -> None:
+        """Measure the progress of `rows` from now on."""
+        self.least[rows], self.idle[rows] = np.inf, 0
+
+
+def _check_paths(paths: list[Path], fleet: Fleet) -> None:
+    """Raise unless every path is finite and starts at its robot."""
+    shape = (NUM_WAYPOINTS + 2, fleet.workspace.shape[1])
+    for path, position in zip(paths, fleet.positions, strict=True):
+        if path.waypoints.shape != shape:
+            raise InvalidInputError(
+                f"a path must have waypoints of shape {shape}, got {path.waypoints.shape}"
+            )
+        if not np.isfinite(path.waypoints).all():
+            raise InvalidInputError("a path must be finite, got one that is not")
+        if np.linalg.norm(position - path.waypoints[0]) > fleet.limit:
+            raise InvalidInputError(
+                f"a path must start at the robot, {position.tolist()}, "
+                f"got {path.waypoints[0].tolist()}"
+            )

@@ -1,0 +1,131 @@
+"""The settings of each training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..checks import bounded, count, positive, random_seed
+from ..errors import InvalidInputError
+
+__all__ = [
+    "FIXED_BY_DATA",
+    "DistillationConfig",
+    "PathTrainingConfig",
+    "PolicyTrainingConfig",
+    "TrainingConfig",
+]
+
+FIXED_BY_DATA = ("dim", "observer")
+"""Settings of stage 1 that its data fix."""
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a model is trained; each stage has settings of its own besides.
+
+    Attributes:
+        steps: optimiser steps.
+        learning_rate: its highest value, after the warm-up; it ends at 0 (cosine).
+        warmup: steps of linear warm-up.
+        weight_decay: of AdamW.
+        dropout: probability that what guides the model is dropped: field and ℓ together of stage 1,
+            the path of stage 2, the goal of a baseline.
+        ema: decay of the exponential moving average of the weights, which is what is kept.
+        seed: of the weights and of every batch.
+        validate_every: steps between validations of the dial.
+        checkpoint_every: steps between checkpoints.
+    """
+
+    steps: int = 12000
+    learning_rate: float = 1e-3
+    warmup: int = 500
+    weight_decay: float = 1e-4
+    dropout: float = 0.1
+    ema: float = 0.999
+    seed: int = 0
+    validate_every: int = 1000
+    checkpoint_every: int = 500
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "validate_every", "checkpoint_every"):
+            count(name, getattr(self, name))
+        random_seed("seed", self.seed)
+        count("warmup", self.warmup, low=0)
+        positive("learning_rate", self.learning_rate)
+        bounded("weight_decay", self.weight_decay, 0)
+        for name in ("dropout", "ema"):
+            if bounded(name, getattr(self, name), 0, 1) == 1:
+                raise InvalidInputError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class PathTrainingConfig(TrainingConfig):
+    """How stage 1 is trained.
+
+    Attributes:
+        scenes: scenes in a batch.
+        per_scene: trajectories of each scene in a batch.
+        score_weight: weight of the loss on the achieved label against that on the velocity.
+        wall_weight: the same of the mean distance by which the denoised curve is outside the
+            workspace, in lengths of the straight line.
+    """
+
+    scenes: int = 128
+    per_scene: int = 8
+    score_weight: float = 5.0
+    wall_weight: float = 20.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count("scenes", self.scenes)
+        count("per_scene", self.per_scene)
+        bounded("score_weight", self.score_weight, 0)
+        bounded("wall_weight", self.wall_weight, 0)
+
+
+@dataclass(frozen=True)
+class DistillationConfig(PathTrainingConfig):
+    """How a student is trained.
+
+    Attributes:
+        sampling_steps: of the student.
+        pairs: of noise and path that the teacher draws in each scene, ℓ evenly over the dial.
+        ends: share of them at ℓ = ±1.
+        jerk_weight: weight of the loss on what the paths have more of jerk than the teacher's.
+    """
+
+    steps: int = 4000
+    learning_rate: float = 5e-4
+    dropout: float = 0.0
+    sampling_steps: int = 1
+    pairs: int = 32
+    ends: float = 0.2
+    jerk_weight: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.dropout:
+            raise InvalidInputError(
+                f"dropout must be 0, as a student never is without conditions, got {self.dropout}"
+            )
+        count("sampling_steps", self.sampling_steps)
+        count("pairs", self.pairs)
+        bounded("jerk_weight", self.jerk_weight, 0)
+        if bounded("ends", self.ends, 0, 1) == 1:
+            raise InvalidInputError(f"ends must lie in [0, 1), got {self.ends}")
+
+
+@dataclass(frozen=True)
+class PolicyTrainingConfig(TrainingConfig):
+    """How a policy is trained.
+
+    Attributes:
+        batch: steps of demonstrations in a batch.
+    """
+
+    steps: int = 8000
+    batch: int = 1024
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count("batch", self.batch)

@@ -1,0 +1,508 @@
+"""A dataset is the same bytes however it was made, flat along ℓ, and refuses to be read in part."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import legibility as lg
+from legibility.curves import NUM_WAYPOINTS, arc_length, path_curve
+from legibility.data import dataset
+from legibility.data.configuration import DatasetConfig
+from legibility.data.dataset import LABEL_KNOTS, Dataset, generate, select
+from legibility.errors import DatasetError, InvalidInputError, OutputError
+from legibility.intent.metrics import SCORE_POINTS
+from legibility.motion.archive import DEFAULT_CELLS, build_archive
+from legibility.scene import DEFAULT_SIGMA
+from legibility.seeds import STREAMS
+
+SOURCE = str(Path(lg.__file__).parents[1])
+TINY = DatasetConfig(scenes=6, cells=8, per_scene=9)
+"""Two shards where a shard is four scenes."""
+
+
+def hashes(folder):
+    """Of every file; what a killed process left half-written is hidden."""
+    return {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.iterdir())
+        if not path.name.startswith(".")
+    }
+
+
+@pytest.fixture
+def small_shards(monkeypatch):
+    monkeypatch.setattr(dataset, "SHARD", 4)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """`TINY`, whole, in two shards."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dataset, "SHARD", 4)
+        folder = tmp_path_factory.mktemp("data") / "tiny"
+        generate(TINY, folder)
+    return folder
+
+
+@pytest.fixture
+def copy(tiny, tmp_path, small_shards):
+    """A copy of `tiny` to spoil."""
+    for path in tiny.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+@pytest.fixture(scope="module", params=[(2, "anchored"), (2, "rank"), (3, "anchored")], ids=str)
+def data(request, tmp_path_factory):
+    dim, label = request.param
+    config = DatasetConfig(
+        dim=dim, scenes=5, cells=24 if dim == 2 else 10, per_scene=65, label=label, seed=4
+    )
+    return generate(config, tmp_path_factory.mktemp("data"))
+
+
+def spoil_manifest(folder, **changes):
+    path = folder / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+class TestSameBytes:
+    def test_for_one_worker_and_two(self, tmp_path):
+        config = DatasetConfig(scenes=65, cells=8, per_scene=5)
+        for workers in (1, 2):
+            generate(config, tmp_path / str(workers), workers=workers)
+        one, two = (hashes(tmp_path / str(workers)) for workers in (1, 2))
+        assert list(one) == ["manifest.json", "train-00000.parquet", "train-00001.parquet"]
+        assert one == two
+
+    def test_for_any_number_of_threads(self, tiny, tmp_path):
+        script = (
+            "import sys; from legibility.data import dataset; dataset.SHARD = 4\n"
+            "dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])"
+        )
+        for threads in ("1", "2"):
+            folder = tmp_path / threads
+            environment = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), threads)
+            subprocess.run(
+                [sys.executable, "-c", script, str(folder)],
+                env={**os.environ, "PYTHONPATH": SOURCE, **environment},
+                check=True,
+            )
+            assert hashes(folder) == hashes(tiny)
+
+    @pytest.mark.parametrize("lost", [[0], [1], [0, 1]])
+    def test_after_shards_were_not_reached(self, copy, tiny, lost):
+        for number in lost:
+            (copy / TINY.shard_names[number]).unlink()
+        manifest = json.loads((tiny / "manifest.json").read_text())
+        begun = {key: manifest[key] for key in ("format", "config")}
+        (copy / "manifest.json").write_text(json.dumps({**begun, "complete": False}))
+        with pytest.raises(DatasetError, match="not complete"):
+            Dataset.load(copy)
+        done = []
+        generate(TINY, copy, progress=lambda *count: done.append(count))
+        assert done == [(2 - k, 2) for k in range(len(lost), -1, -1)]
+        assert hashes(copy) == hashes(tiny)
+
+    @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
+    def test_after_a_kill_in_the_middle_of_a_shard(self, tiny, tmp_path, small_shards):
+        script = """
+import os, signal, sys
+from legibility import files
+from legibility.data import dataset, shards
+dataset.SHARD = 4
+def half(path, content):
+    if "00001" not in path.name:
+        return files.write_bytes(path, content)
+    with files.atomic_path(path) as temporary:
+        temporary.write_bytes(content[: len(content) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+shards.write_bytes = half
+dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
+"""
+        folder = tmp_path / "killed"
+        run = subprocess.run(
+            [sys.executable, "-c", script, str(folder)],
+            env={**os.environ, "PYTHONPATH": SOURCE},
+            capture_output=True,
+            text=True,
+        )
+        assert run.returncode == -signal.SIGKILL, run.stderr
+        assert list(hashes(folder)) == ["manifest.json", "train-00000.parquet"]
+        with pytest.raises(DatasetError, match="not complete"):
+            Dataset.load(folder)
+        generate(TINY, folder)
+        assert hashes(folder) == hashes(tiny)
+
+    def test_when_it_was_complete_nothing_is_written(self, copy, tiny):
+        before = {path.name: path.stat().st_mtime_ns for path in copy.iterdir()}
+        generate(TINY, copy)
+        assert {path.name: path.stat().st_mtime_ns for path in copy.iterdir()} == before
+
+    @pytest.mark.parametrize(
+        "change", [lambda file: file.unlink(), lambda file: file.write_bytes(b"x")]
+    )
+    def test_a_complete_one_that_was_damaged_is_repaired(self, copy, tiny, change):
+        change(copy / TINY.shard_names[1])
+        with pytest.raises(DatasetError, match="missing or not as it was written"):
+            Dataset.load(copy)
+        generate(TINY, copy)
+        assert hashes(copy) == hashes(tiny)
+
+    def test_shards_left_by_another_configuration_are_not_taken_over(self, copy, tmp_path_factory):
+        (copy / "manifest.json").unlink()
+        other = dataclasses.replace(TINY, seed=1)
+        fresh = tmp_path_factory.mktemp("fresh")
+        generate(other, copy)
+        generate(other, fresh)
+        assert hashes(copy) == hashes(fresh)
+
+    def test_damaged_shard_of_an_interrupted_run_is_made_again(self, copy, tiny):
+        spoil_manifest(copy, complete=False)
+        shard = copy / TINY.shard_names[0]
+        content = bytearray(shard.read_bytes())
+        content[len(content) // 3] ^= 255
+        shard.write_bytes(content)
+        generate(TINY, copy)
+        assert hashes(copy) == hashes(tiny)
+
+
+class TestRefuses:
+    @pytest.mark.parametrize(
+        "change", [{"seed": 1}, {"scenes": 7}, {"stream": "validation"}, {"efficiency": 0.2}]
+    )
+    @pytest.mark.parametrize("complete", [True, False])
+    def test_a_folder_of_another_configuration(self, copy, change, complete):
+        spoil_manifest(copy, complete=complete)
+        before = hashes(copy)
+        with pytest.raises(DatasetError, match="another configuration"):
+            generate(dataclasses.replace(TINY, **change), copy)
+        assert hashes(copy) == before
+
+    def test_a_changed_shard(self, copy):
+        shard = copy / TINY.shard_names[1]
+        content = bytearray(shard.read_bytes())
+        content[len(content) // 2] ^= 1
+        shard.write_bytes(content)
+        with pytest.raises(DatasetError, match=r"train-00001\.parquet is missing or not as it was"):
+            Dataset.load(copy)
+
+    def test_a_truncated_shard(self, copy):
+        shard = copy / TINY.shard_names[0]
+        shard.write_bytes(shard.read_bytes()[:-10])
+        with pytest.raises(DatasetError, match=r"train-00000\.parquet is missing or not as it was"):
+            Dataset.load(copy)
+
+    def test_a_missing_shard(self, copy):
+        (copy / TINY.shard_names[1]).unlink()
+        with pytest.raises(DatasetError, match=r"train-00001\.parquet is missing"):
+            Dataset.load(copy)
+
+    def test_folders_without_a_dataset(self, tmp_path):
+        (tmp_path / "file").write_text("not a folder")
+        for folder in (tmp_path, tmp_path / "absent", tmp_path / "file"):
+            with pytest.raises(DatasetError, match="cannot read the dataset manifest"):
+                Dataset.load(folder)
+
+    @pytest.mark.parametrize(
+        "text", ["", "{", "[]", "null", '"text"', "{}", '{"format": 1}', '{"format": 99}', "\xff"]
+    )
+    def test_a_broken_manifest(self, copy, text):
+        (copy / "manifest.json").write_text(text, encoding="latin-1")
+        for read in (Dataset.load, lambda folder: generate(TINY, folder)):
+            with pytest.raises(DatasetError):
+                read(copy)
+
+    @pytest.mark.parametrize("size", [0.2, 0.5, 0.9, 0.999])
+    def test_a_truncated_manifest(self, copy, size):
+        path = copy / "manifest.json"
+        path.write_text(path.read_text()[: int(size * len(path.read_text())) - 1])
+        with pytest.raises(DatasetError):
+            Dataset.load(copy)
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"shards": []},
+            {"shards": None},
+            {"shards": [{}]},
+            {"config": {}},
+            {"config": None},
+            {"config": {**TINY.to_dict(), "speed": 1}},
+            {"config": {**TINY.to_dict(), "dim": 4}},
+            {"config": {**TINY.to_dict(), "goals": 3}},
+            {"config": {**TINY.to_dict(), "scenes": 5}},
+            {"config": {**TINY.to_dict(), "dim": 3}},
+            {"config": {**TINY.to_dict(), "per_scene": 8}},
+        ],
+        ids=str,
+    )
+    def test_a_manifest_that_lies(self, copy, change):
+        spoil_manifest(copy, **change)
+        with pytest.raises(DatasetError):
+            Dataset.load(copy)
+
+    def test_a_folder_that_cannot_be_written(self, tmp_path):
+        (tmp_path / "file").write_text("in the way")
+        for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+            with pytest.raises(OutputError, match="cannot write"):
+                generate(TINY, folder)
+        assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+    @pytest.mark.parametrize("workers", [0, -1, 1.5, "2", True])
+    def test_workers(self, tmp_path, workers):
+        with pytest.raises(InvalidInputError, match="workers"):
+            generate(TINY, tmp_path / "data", workers=workers)
+        assert not (tmp_path / "data").exists()
+
+
+class TestConfig:
+    def test_defaults_of_the_dimension_are_filled_in(self):
+        for dim in (2, 3):
+            config = DatasetConfig(dim=dim)
+            assert (config.sigma, config.cells) == (DEFAULT_SIGMA[dim], DEFAULT_CELLS[dim])
+
+    @pytest.mark.parametrize(
+        "config",
+        [
+            DatasetConfig(),
+            DatasetConfig(dim=3, scenes=3, seed=5, stream="evaluation", goals=(3, 3)),
+            DatasetConfig(per_scene=33, label="rank", efficiency=0.5, sigma=0.2, alpha=1, cells=9),
+        ],
+        ids=str,
+    )
+    def test_round_trip(self, config):
+        assert DatasetConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+    def test_unknown_keys(self):
+        with pytest.raises(DatasetError, match="speed"):
+            DatasetConfig.from_dict({**DatasetConfig().to_dict(), "speed": 1})
+
+    def test_shard_names(self):
+        names = DatasetConfig(scenes=129, stream="validation").shard_names
+        assert names == [f"validation-0000{i}.parquet" for i in range(3)]
+
+    @pytest.mark.parametrize(
+        "wrong",
+        [
+            {"dim": 4},
+            {"dim": "2"},
+            {"dim": [2]},
+            {"scenes": 0},
+            {"scenes": 1.5},
+            {"seed": -1},
+            {"seed": 0.5},
+            {"stream": "test"},
+            {"goals": (1, 4)},
+            {"goals": (4, 3)},
+            {"goals": (2, 13)},
+            {"goals": (2.5, 4)},
+            {"goals": (2,)},
+            {"goals": 3},
+            {"goals": "ab"},
+            {"per_scene": 2},
+            {"per_scene": 3.5},
+            {"label": "linear"},
+            {"efficiency": 0},
+            {"efficiency": np.nan},
+            {"efficiency": "much"},
+            {"sigma": -0.1},
+            {"sigma": np.nan},
+            {"sigma": "wide"},
+            {"alpha": -1},
+            {"alpha": np.nan},
+            {"cells": 1},
+            {"cells": 2.5},
+        ],
+        ids=str,
+    )
+    def test_bad_values(self, wrong):
+        with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+            DatasetConfig(**wrong)
+
+
+class TestScenes:
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_streams_seeds_and_indices_never_share_a_scene(self, dim):
+        scenes = [
+            DatasetConfig(dim=dim, stream=stream, seed=seed, cells=8).scene(index)[0]
+            for stream in STREAMS
+            for seed in (0, 1, 2)
+            for index in (0, 1, 2)
+        ]
+        assert len({point.tobytes() for scene in scenes for point in scene.goals}) == sum(
+            scene.num_goals for scene in scenes
+        )
+
+    def test_other_settings_keep_the_scenes(self):
+        """So that labels, sigmas and archives can be compared on the same scenes."""
+        plain = DatasetConfig(cells=8).scene(3)[0]
+        other = DatasetConfig(cells=9, label="rank", sigma=0.3, per_scene=5, scenes=9)
+        assert other.scene(3)[0] == plain
+
+    def test_number_of_goals(self):
+        found = [DatasetConfig(goals=(3, 4), cells=8).scene(i)[0].num_goals for i in range(12)]
+        assert set(found) == {3, 4}
+
+    def test_archive_is_of_the_configuration(self):
+        _, archive = DatasetConfig(cells=9, label="rank", sigma=0.3, alpha=1.0).scene(0)
+        assert (archive.label, archive.field.sigma, archive.alpha) == ("rank", 0.3, 1.0)
+        assert archive.target == 0
+        assert len(archive) <= 81
+
+
+class TestContent:
+    def test_shapes(self, data):
+        size, num, dim = data.config.scenes, data.config.per_scene, data.config.dim
+        assert len(data.scenes) == size
+        assert data.controls.shape == (size, num, 4, dim)
+        assert data.waypoints.shape == (size, num, NUM_WAYPOINTS, dim)
+        assert data.scores.shape == data.labels.shape == (size, num)
+        assert data.score_at_label.shape == (size, len(LABEL_KNOTS))
+        assert data.controls.dtype == data.waypoints.dtype == data.labels.dtype == np.float32
+        for values in data.summary.values():
+            assert values.shape == (size,)
+
+    def test_loads_as_it_was_made(self, data, tmp_path):
+        again = generate(data.config, tmp_path)
+        loaded = Dataset.load(tmp_path)
+        for other in (again, loaded):
+            assert other.config == data.config
+            assert other.digest == data.digest
+            assert other.scenes == data.scenes
+            for name in ("controls", "waypoints", "scores", "labels", "score_at_label"):
+                np.testing.assert_array_equal(getattr(other, name), getattr(data, name))
+            for name, values in data.summary.items():
+                np.testing.assert_array_equal(other.summary[name], values)
+
+    def test_scenes_and_summary_are_those_of_the_configuration(self, data):
+        for index, scene in enumerate(data.scenes):
+            expected, archive = data.config.scene(index)
+            assert scene == expected
+            found = {name: values[index] for name, values in data.summary.items()}
+            assert found == {
+                "elites": len(archive),
+                "candidates": archive.num_candidates,
+                "coverage": archive.coverage,
+                "straight_score": archive.straight_score,
+            }
+            np.testing.assert_array_equal(data.score_at_label[index], archive.score_of(LABEL_KNOTS))
+
+    def curves(self, data, index):
+        scene, waypoints = data.scenes[index], data.waypoints[index].astype(np.float64)
+        ends = [np.tile(end, (len(waypoints), 1, 1)) for end in (scene.start, scene.goals[0])]
+        return path_curve(np.concatenate([ends[0], waypoints, ends[1]], axis=1), SCORE_POINTS)
+
+    def test_labels_are_those_of_the_curve_through_the_waypoints(self, data):
+        for index in range(data.config.scenes):
+            archive = data.config.scene(index)[1]
+            scores = lg.metrics.legibility_score(
+                self.curves(data, index), archive.field, 0, archive.alpha
+            )
+            np.testing.assert_allclose(data.scores[index], scores, rtol=1e-4, atol=1e-5)
+            np.testing.assert_allclose(data.labels[index], archive.label_of(scores), atol=5e-3)
+
+    def test_curves_stay_inside_the_workspace(self, data):
+        for index, scene in enumerate(data.scenes):
+            assert scene.contains(self.curves(data, index), tolerance=1e-6).all()
+
+    def test_waypoints_lie_on_the_beziers_at_equal_arc_length(self, data):
+        for index, scene in enumerate(data.scenes):
+            ends = data.controls[index][:, [0, -1]]
+            np.testing.assert_allclose(ends[:, 0], np.tile(scene.start, (len(ends), 1)), atol=1e-6)
+            np.testing.assert_allclose(
+                ends[:, 1], np.tile(scene.goals[0], (len(ends), 1)), atol=1e-6
+            )
+            dense = dataset.bezier_trajectories(data.controls[index].astype(np.float64), 2001)
+            at = np.linspace(0, 2000, NUM_WAYPOINTS + 2).round().astype(int)[1:-1]
+            gaps = np.linalg.norm(dense[:, at] - data.waypoints[index], axis=-1)
+            assert (gaps.max(1) < 0.002 * arc_length(dense)).all()
+
+    def test_labels_are_flat(self, data):
+        wanted = np.linspace(-1, 1, data.config.per_scene)
+        assert np.abs(data.labels - wanted).mean() < 0.02
+        assert np.abs(data.labels - wanted).max() < 0.15
+        shares = np.histogram(data.labels, bins=8, range=(-1, 1))[0] / data.labels.size
+        assert (np.abs(shares - 1 / 8) < 0.02).all()
+
+    def test_ends_of_the_dial_are_there(self, data):
+        assert (data.labels[:, 0] < -0.9).all()
+        assert (data.labels[:, -1] > 0.9).all()
+
+    def test_level_zero_is_the_straight_line(self, data):
+        if data.config.label == "rank":
+            return  # its ℓ = 0 is the median
+        middle = data.config.per_scene // 2
+        for index, scene in enumerate(data.scenes):
+            straight = np.linspace(scene.start, scene.goals[0], NUM_WAYPOINTS + 2)[1:-1]
+            length = np.linalg.norm(scene.goals[0] - scene.start)
+            gap = np.linalg.norm(data.waypoints[index, middle] - straight, axis=-1).max()
+            assert gap < 0.03 * length
+            curve = self.curves(data, index)[middle]
+            assert arc_length(curve) < 1.002 * length
+
+    def test_another_set_has_another_digest(self, tiny, tmp_path, small_shards):
+        other = generate(dataclasses.replace(TINY, seed=9), tmp_path)
+        assert other.digest != Dataset.load(tiny).digest
+
+
+class TestFirst:
+    def test_is_the_dataset_of_as_many_scenes(self, tiny, tmp_path, small_shards):
+        found = Dataset.load(tiny).first(5)
+        whole = generate(dataclasses.replace(TINY, scenes=5), tmp_path)
+        assert (found.config, found.scenes) == (whole.config, whole.scenes)
+        for field in dataclasses.fields(Dataset)[3:-1]:
+            np.testing.assert_array_equal(getattr(found, field.name), getattr(whole, field.name))
+        assert found.summary.keys() == whole.summary.keys()
+        for name, values in found.summary.items():
+            np.testing.assert_array_equal(values, whole.summary[name])
+
+    def test_digest_says_so(self, tiny):
+        whole = Dataset.load(tiny)
+        assert whole.first(2).digest == f"{whole.digest}[:2]"
+        assert whole.first(6) is whole
+
+    def test_refuses(self, tiny):
+        with pytest.raises(InvalidInputError, match="the data have 6 scenes, 7 are asked"):
+            Dataset.load(tiny).first(7)
+        with pytest.raises(InvalidInputError, match="scenes must be an integer of at least 1"):
+            Dataset.load(tiny).first(0)
+
+
+class TestSelect:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def archive():
+        return build_archive(lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]), cells=24)
+
+    def test_reproducible(self, archive):
+        one, other = (select(archive, 17, 0.1, np.random.default_rng(0)) for _ in range(2))
+        for name, values in one.items():
+            np.testing.assert_array_equal(other[name], values)
+
+    def test_more_efficient_is_shorter(self, archive):
+        lengths = []
+        for efficiency in (0.01, 100.0):
+            found = select(archive, 65, efficiency, np.random.default_rng(0))
+            curves = dataset.bezier_trajectories(found["controls"], 200)
+            lengths.append(arc_length(curves).mean())
+        assert lengths[0] < 0.97 * lengths[1]
+
+    def test_labels_rise_with_the_level(self, archive):
+        labels = select(archive, 33, 0.1, np.random.default_rng(0))["labels"]
+        assert (np.diff(labels) > -0.02).all()
+
+    @pytest.mark.parametrize("cells", [2, 3])
+    def test_of_a_tiny_archive(self, cells):
+        tiny = build_archive(lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]), cells=cells)
+        found = select(tiny, 9, 0.1, np.random.default_rng(0))
+        assert found["labels"].shape == (9,)
+        assert (np.diff(found["labels"]) >= -1).all()
