@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+
+import legibility as lg
 from legibility.data.configuration import DatasetConfig, DemonstrationsConfig
 from legibility.data.dataset import generate
 from legibility.data.demonstrations import demonstrate
 from legibility.drivers import Feedback
-from legibility.intent.belief import COSTS
-
-import legibility as lg
 from legibility.envs.block_reach_2d import BlockReach2DVector
+from legibility.intent.belief import COSTS
 from legibility.intent.observer import Observer
 from legibility.modulator import Modulator
 
