@@ -45,8 +45,9 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 _PATIENCE = 2.0
 """Work shorter than this [s] shows no progress bar."""
 
-_INTERVAL = 30.0
-"""Off a terminal a line of progress is printed after this time [s] at the latest."""
+_LEAST_INTERVAL, _MOST_INTERVAL = 5.0, 30.0
+"""Off a terminal a line of progress is printed after a tenth of the work and this least time [s],
+and after the other at the latest."""
 
 
 def check_file(path: Path | None, what: str) -> None:
@@ -191,7 +192,7 @@ class _ProgressLines:
     def update(self, done: int, total: int) -> None:
         """Print a line if enough was done, or enough time has passed, since the last one."""
         tenths, waited = 10 * done // max(total, 1), time.monotonic() - self.time
-        if waited > (_PATIENCE if tenths != self.tenths else _INTERVAL):
+        if waited > (_LEAST_INTERVAL if tenths != self.tenths else _MOST_INTERVAL):
             note(f"{self.title} {done} of {total}")
             self.tenths, self.time = tenths, time.monotonic()
 
