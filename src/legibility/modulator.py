@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import Array, count, legibility_levels, positive, random_seed, target_index
+from .checks import Array, count, legibility_levels, positive, seed_or_entropy, target_index
 from .drivers import Driver, Policy
 from .envs.fleet import Fleet, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
 from .models.configuration import PathDiffuserConfig
+from .models.frame import check_scale
 from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
 from .models.path_sampler import PathSampler, Sampling
@@ -117,13 +118,14 @@ class Modulator:
         """The archive of a scene by which this model's labels are read; cached."""
         return scene_archive(scene, target, self.config.observer)
 
+    @np.errstate(under="ignore")
     def plan(
         self,
         scene: Scene,
         target: int = 0,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -134,7 +136,7 @@ class Modulator:
             scene: of the model's dimension.
             target: index of the intended goal.
             legibility: ℓ in [−1, 1], a number or `(B,)`.
-            seed: of the paths drawn.
+            seed: of the paths drawn; None draws other paths each time.
             num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
                 to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
                 Between, more than one needs the scene's archive, which is built once (about
@@ -149,7 +151,7 @@ class Modulator:
         self._check_scene(scene)
         target = target_index(target, scene.num_goals)
         levels = legibility_levels(legibility)
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
         num_candidates = count("num_candidates", num_candidates)
         sampling = Sampling(guidance, steps).checked(self.config)
         asked = np.repeat(np.atleast_1d(levels), num_candidates)
@@ -165,13 +167,14 @@ class Modulator:
         waypoints = paths if levels.ndim else paths[0]
         return Path.through(waypoints, scene, target, levels, self.config.observer)
 
+    @np.errstate(under="ignore")
     def plan_many(
         self,
         scenes: Sequence[Scene],
         targets: int | Sequence[int] = 0,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -182,7 +185,7 @@ class Modulator:
             scenes: `B` of the model's dimension.
             targets: index of the intended goal, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
-            seed: of the paths drawn.
+            seed: of the paths drawn; None draws other paths each time.
             num_candidates: see `plan`.
             guidance: see `plan`.
             steps: see `plan`.
@@ -201,7 +204,7 @@ class Modulator:
             for scene, target in zip(scenes, _for_each("targets", targets, scenes), strict=True)
         ]
         levels = levels_for(len(scenes), legibility)
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
         sampling = Sampling(guidance, steps).checked(self.config)
         if count("num_candidates", num_candidates) > 1:
             seeds = np.random.SeedSequence(seed).generate_state(len(scenes)).tolist()
@@ -226,7 +229,7 @@ class Modulator:
         target: int | None = None,
         legibility: float = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         path: Path | None = None,
         replan: bool = True,
         tolerance: float | None = None,
@@ -243,7 +246,7 @@ class Modulator:
             env: an environment of this package, in any wrappers that leave actions alone.
             target: index of the intended goal; the environment's own if not given.
             legibility: ℓ in [−1, 1].
-            seed: of the paths and actions drawn.
+            seed: of the paths and actions drawn; None draws others each time.
             path: the path to follow instead of planning one; it must start at the robot.
             replan: whether to plan again, with the same ℓ for the rest of the motion, when a push
                 has taken the robot off its path by more than `tolerance` or its goal was moved;
@@ -268,13 +271,14 @@ class Modulator:
         )  # fmt: skip
         return rollout
 
+    @np.errstate(under="ignore")
     def execute_many(
         self,
         env: Any,
         targets: int | Sequence[int] | None = None,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         paths: Sequence[Path] | None = None,
         replan: bool = True,
         tolerance: float | None = None,
@@ -303,7 +307,7 @@ class Modulator:
             InvalidInputError: an argument is out of its range or does not fit the environment.
             CheckpointError: the model has no stage 2.
         """
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
         if driver is None:
             if self._policy is None:
                 raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
@@ -356,6 +360,7 @@ class Modulator:
             raise InvalidSceneError(
                 f"the model {self.name} plans in {self.config.dim}D, the scene is {scene.dim}D"
             )
+        check_scale(scene, self.name)
 
     def _check_fleet(self, fleet: Fleet) -> None:
         dim = fleet.workspace.shape[1]
