@@ -116,6 +116,23 @@ def legibility_levels(value: ArrayLike) -> Array:
     return np.asarray(np.clip(levels, -1, 1))
 
 
+def levels_for_each(value: ArrayLike, size: int) -> Array:
+    """ℓ `(size,)`, given one for all or one for each."""
+    levels = legibility_levels(value)
+    if levels.ndim and len(levels) != size:
+        raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
+    return np.broadcast_to(levels, (size,)).copy()
+
+
+def for_each(name: str, value: Any, size: int) -> list[Any]:
+    """`size` values, given one for all or one for each."""
+    if np.ndim(_detached(value)) == 0:
+        return [value] * size
+    if len(value) != size:
+        raise InvalidInputError(f"{name} must be one for all or {size}, got {len(value)}")
+    return list(value)
+
+
 def positive(name: str, value: Any) -> float:
     """A finite number above zero."""
     number = finite_array(name, value)

@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import Array, count, legibility_levels, positive, seed_or_entropy, target_index
+from .checks import (
+    Array,
+    count,
+    for_each,
+    legibility_levels,
+    levels_for_each,
+    positive,
+    seed_or_entropy,
+    target_index,
+)
 from .drivers import Driver, Policy
 from .envs.fleet import Fleet, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
@@ -30,8 +39,6 @@ __all__ = ["BACKENDS", "Modulator"]
 
 BACKENDS = ("torch", "onnx")
 """What may run the networks."""
-
-_AT_START, _BESIDE = 1e-4, 1e-5
 
 
 class Modulator:
@@ -201,9 +208,9 @@ class Modulator:
             raise InvalidInputError("scenes must be at least one, got none")
         indices = [
             target_index(target, scene.num_goals)
-            for scene, target in zip(scenes, _for_each("targets", targets, scenes), strict=True)
+            for scene, target in zip(scenes, for_each("targets", targets, len(scenes)), strict=True)
         ]
-        levels = levels_for(len(scenes), legibility)
+        levels = levels_for_each(legibility, len(scenes))
         seed = seed_or_entropy("seed", seed)
         sampling = Sampling(guidance, steps).checked(self.config)
         if count("num_candidates", num_candidates) > 1:
@@ -315,7 +322,7 @@ class Modulator:
         fleet = Fleet(env, seed)
         self._check_fleet(fleet)
         off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
-        levels = levels_for(fleet.size, legibility)
+        levels = levels_for_each(legibility, fleet.size)
         if paths is not None and (
             len(paths) != fleet.size or not all(isinstance(path, Path) for path in paths)
         ):
@@ -323,12 +330,12 @@ class Modulator:
                 f"paths must be a legibility.Path for each of {fleet.size} robots, got {paths}"
             )
         if targets is not None:
-            fleet.set_targets(_for_each("targets", targets, fleet.scenes))
+            fleet.set_targets(for_each("targets", targets, fleet.size))
 
         def plan(rows: list[int], positions: Array) -> list[Path]:
             scenes = fleet.scenes
             return self.plan_many(
-                [_from(scenes[row], start) for row, start in zip(rows, positions, strict=True)],
+                [scenes[row].starting_at(x) for row, x in zip(rows, positions, strict=True)],
                 fleet.targets[rows].tolist(), levels[rows],
                 seed=seed, num_candidates=num_candidates, guidance=guidance, steps=steps,
             )  # fmt: skip
@@ -373,39 +380,6 @@ class Modulator:
                 f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
                 f"the environment's limit is {fleet.limit} m"
             )
-
-
-def levels_for(size: int, legibility: ArrayLike) -> Array:
-    """ℓ `(size,)`, given one for all or one for each."""
-    levels = legibility_levels(legibility)
-    if levels.ndim and len(levels) != size:
-        raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
-    return np.broadcast_to(levels, (size,)).copy()
-
-
-def _for_each(name: str, value: Any, scenes: Sequence[Scene]) -> list[Any]:
-    """A value for each scene, given one for all or one for each."""
-    if np.ndim(value) == 0:
-        return [value] * len(scenes)
-    if len(value) != len(scenes):
-        raise InvalidInputError(f"{name} must be one for all or {len(scenes)}, got {len(value)}")
-    return list(value)
-
-
-def _from(scene: Scene, start: Array) -> Scene:
-    """The scene for a robot that now stands at `start (D,)` [m].
-
-    An arm reaches a scene's start only as exactly as its joints allow, and may be a little beyond a
-    wall. A robot that was pushed onto a goal is taken to stand just beside it.
-    """
-    if np.linalg.norm(start - scene.start) < _AT_START:
-        return scene
-    start, least = np.clip(start, *scene.workspace), _BESIDE * scene.diagonal
-    if np.linalg.norm(scene.goals - start, axis=-1).min() < least:
-        inward = scene.workspace.mean(axis=0) - start
-        inward[0] += 1e-9  # in the very middle any direction leads inward
-        start = start + 2 * least * inward / np.linalg.norm(inward)
-    return Scene(start, scene.goals, scene.workspace)
 
 
 def _straight_if_near(path: Path) -> Path:

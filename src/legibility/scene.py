@@ -33,6 +33,7 @@ START_OVERSHOOT = 0.02
 """How far beyond a wall a robot may be found, as a share of the workspace's diagonal: 34 mm of the
 default one in 2-D, 16 mm at the Panda's table, where the simulated arms overshoot by up to 10."""
 
+_AT_START, _BESIDE = 1e-4, 1e-5
 _BLOCK_HEIGHT = 0.04
 _ROUNDING = 1e-6
 
@@ -120,6 +121,21 @@ class Scene:
         points = np.asarray(points)
         low, high = self.workspace
         return ((points >= low - tolerance) & (points <= high + tolerance)).all(-1)
+
+    def starting_at(self, position: Array) -> Scene:
+        """The scene for a robot that now stands at `position (D,)` [m].
+
+        An arm reaches a scene's start only as exactly as its joints allow, and may be a little
+        beyond a wall. A robot that was pushed onto a goal is taken to stand just beside it.
+        """
+        if np.linalg.norm(position - self.start) < _AT_START:
+            return self
+        start, least = np.clip(position, *self.workspace), _BESIDE * self.diagonal
+        if np.linalg.norm(self.goals - start, axis=-1).min() < least:
+            inward = self.workspace.mean(axis=0) - start
+            inward[0] += 1e-9  # in the very middle any direction leads inward
+            start = start + 2 * least * inward / np.linalg.norm(inward)
+        return Scene(start, self.goals, self.workspace)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and all(
