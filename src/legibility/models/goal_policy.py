@@ -122,10 +122,10 @@ class GoalPolicy(ActionDenoiser):
         times = sampling_timesteps(
             len(self.signal), steps or self.config.sampling_steps, to_end=True
         )
-        each = self._denoiser(context, times)
+        timesteps = torch.tensor(times)[:, None]
 
         def velocity(noisy: Tensor, i: int) -> Tensor:
-            found = each(noisy.repeat_interleave(num, 0), i)
+            found = self(noisy.repeat_interleave(num, 0), timesteps[i], context)
             return torch.einsum("bc,bc...->b...", weight, found.unflatten(0, (size, num)))
 
         actions = ddim(velocity, noise, self.signal, times, bound=1 / float(self.scale))

@@ -127,6 +127,7 @@ class PathPolicy(ActionDenoiser):
             torch.from_numpy(observation.features), torch.from_numpy(observation.has_path)
         )
         times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
-        actions = ddim(self._denoiser(context, times), noise, self.signal, times)
+        steps_ = torch.tensor(times)[:, None]
+        actions = ddim(lambda noisy, i: self(noisy, steps_[i], context), noise, self.signal, times)
         actions = (actions * self.scale).double().numpy() * self.config.limit
         return actions @ observation.rotation
