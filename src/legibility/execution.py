@@ -16,6 +16,7 @@ from .curves import NUM_WAYPOINTS, resample
 from .envs.guard import safe_actions
 from .errors import InvalidInputError
 from .intent.metrics import SCORE_POINTS, legibility_score
+from .models.diffusion import standard_normal
 from .models.path_policy import Observation, PathPolicy
 from .motion.tracking import PathTracker, feedback_action
 from .path import Path
@@ -198,7 +199,7 @@ class Policy:
         with_path: bool = True,
     ) -> None:
         self.model, self.steps, self.with_path = model, steps, with_path
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator("cpu").manual_seed(seed)
 
     def __call__(
         self,
@@ -214,7 +215,7 @@ class Policy:
             positions[rows], previous[rows], goals[rows], config.limit,
             tracker.of(rows) if self.with_path else None,
         )  # fmt: skip
-        noise = torch.randn(len(rows), config.chunk, config.dim, generator=self.generator)
+        noise = standard_normal(len(rows), config.chunk, config.dim, generator=self.generator)
         return self.model.act(seen, noise, self.steps)[:, : config.execute]
 
 

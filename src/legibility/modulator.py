@@ -25,6 +25,7 @@ from .errors import CheckpointError, InvalidInputError, InvalidSceneError
 from .execution import Driver, Fleet, Policy, Rollout, follow
 from .intent.field import InformationPotentialField
 from .intent.metrics import SCORE_POINTS, legibility_score
+from .models.diffusion import standard_normal
 from .models.frame import Frame
 from .models.path_diffuser import PathDiffuser, PathDiffuserConfig
 from .models.path_policy import PathPolicy
@@ -54,7 +55,10 @@ class Modulator:
         name: of the weights.
         training: how each stage was made, by the names `path` and `policy`, for the model card.
         backend: what runs the networks, `torch` or `onnx` (onnxruntime: the same results to
-            rounding, sooner); `onnx` keeps to the weights of now.
+            rounding, sooner); `onnx` keeps to the weights of now, and to their own guidance and
+            number of steps.
+        graphs: folder that keeps the graphs of the backend `onnx`; one that is not there yet is
+            exported, which takes some seconds and onnxscript.
 
     Attributes:
         sampler: `PathDiffuser.sample`, as the backend runs it.
@@ -70,6 +74,7 @@ class Modulator:
         name: str = "unnamed",
         training: dict[str, Any] | None = None,
         backend: str = "torch",
+        graphs: FilePath | None = None,
     ) -> None:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
         self.path_policy = path_policy
@@ -86,10 +91,13 @@ class Modulator:
             raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
         self.sampler, self._actor = self.path_diffuser.sample, path_policy
         if backend == "onnx":
-            from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy
+            from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy, load_graph
 
-            self.sampler = OnnxPathDiffuser(path_diffuser).sample
-            self._actor = path_policy and OnnxPathPolicy(path_policy)
+            graph = load_graph(path_diffuser, graphs)
+            self.sampler = OnnxPathDiffuser(path_diffuser, graph).sample
+            if path_policy is not None:
+                graph = load_graph(path_policy, graphs)
+                self._actor = OnnxPathPolicy(path_policy, graph)
 
     @property
     def config(self) -> PathDiffuserConfig:
@@ -122,7 +130,7 @@ class Modulator:
             raise CheckpointError(f"{folder} has no stage 1")
         return cls(
             stages["path"], stages.get("policy"),
-            name=folder.resolve().name, training=training, backend=backend,
+            name=folder.resolve().name, training=training, backend=backend, graphs=folder,
         )  # fmt: skip
 
     def save_pretrained(self, folder: str | FilePath) -> None:
@@ -431,8 +439,8 @@ class Modulator:
         """
         model = self.path_diffuser
         size, dim = len(levels), self.config.dim
-        generator = torch.Generator().manual_seed(seed)
-        noise = torch.randn(size, NUM_WAYPOINTS, dim, generator=generator)
+        generator = torch.Generator("cpu").manual_seed(seed)
+        noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         drawn = self.sampler(
             model.conditions(scenes, targets),
             torch.from_numpy(levels.astype(np.float32)),

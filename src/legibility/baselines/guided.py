@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..checks import Array
+from ..models.diffusion import standard_normal
 from ..models.goal_policy import GoalPolicy, goal_features, guidance_weights
 from ..motion.tracking import PathTracker
 from ..scene import Scene
@@ -41,7 +42,7 @@ class GuidedPolicy:
         steps: int | None = None,
     ) -> None:
         self.model, self.steps = model, steps
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator("cpu").manual_seed(seed)
         self.workspaces = np.stack([scene.workspace for scene in scenes])
         most = max(scene.num_goals for scene in scenes) - 1
         self.others = np.zeros((len(scenes), most, scenes[0].dim))
@@ -73,7 +74,7 @@ class GuidedPolicy:
         weights = np.ones((len(rows), 1))
         if config.guidance:
             weights = guidance_weights(guidance, config.guidance_share, self.there[rows])
-        noise = torch.randn(len(rows), config.chunk, config.dim, generator=self.generator)
+        noise = standard_normal(len(rows), config.chunk, config.dim, generator=self.generator)
         return self.model.act(
             np.stack(features, axis=1), np.array([g is not None for g in seen]), weights, noise,
             self.steps,

@@ -110,8 +110,9 @@ class ActionDenoiser(nn.Module):
 
         Args:
             noisy: `(B, chunk, D)`, noisy actions over `scale`.
-            timestep: `(B,)` int, of the noise schedule.
+            timestep: `(B,)` int, of the noise schedule, or `(1,)` for all.
             context: `(B, E)` of what is observed.
         """
-        time = self.time(fourier(timestep / self.steps * 2 - 1, _TIME_FREQUENCIES))
-        return self.unet(noisy, nn.functional.silu(context + time))
+        time = timestep.float() / self.steps * 2 - 1
+        condition = nn.functional.silu(context + self.time(fourier(time, _TIME_FREQUENCIES)))
+        return self.unet(noisy, condition)

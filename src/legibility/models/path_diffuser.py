@@ -255,15 +255,15 @@ class PathDiffuser(nn.Module):
 
         Args:
             noisy: `(B, K, D)`, noisy latent.
-            timestep: `(B,)` int, of the noise schedule.
+            timestep: `(B,)` int, of the noise schedule, or `(1,)` for all.
             context: `(B, E)` from `encode`.
-            conditions: of the `B` scenes.
-            keep: `(B,)`, where it is false the field is dropped.
+            conditions: of the `B` scenes, or of one for all.
+            keep: `(B,)` or `(1,)`, where it is false the field is dropped.
         """
         reading = self._read(noisy, conditions)
         if keep is not None:
             reading = reading * keep[:, None, None]
-        time = timestep / self.config.diffusion_steps * 2 - 1
+        time = timestep.float() / self.config.diffusion_steps * 2 - 1
         condition = F.silu(context + self.time(fourier(time, TIME_FREQUENCIES)))
         return self.unet(torch.cat([noisy, reading], dim=-1), condition)
 
@@ -315,17 +315,30 @@ class PathDiffuser(nn.Module):
             guidance: weight w at ℓ = ±1; the configuration's if not given.
             steps: of the sampler; the configuration's if not given.
         """
-        guidance = self.config.guidance if guidance is None else guidance
-        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
-        size = len(level)
         with torch.autocast(noise.device.type, enabled=False):
-            context = self.encode(self.encode_scene(conditions).expand(size, -1), level)
-            if not guidance:
-                return self.denoise(conditions, context, noise, times)
-            never = torch.zeros(1, dtype=torch.bool, device=noise.device)
-            nothing = self.encode(self._without_field(conditions), level, never)
-            weight = guidance * level[:, None, None] ** 4
-            return self.denoise(conditions, context, noise, times, nothing, weight)
+            scene = self.encode_scene(conditions)
+            return self.draw(conditions, scene, level, noise, guidance=guidance, steps=steps)
+
+    def draw(
+        self,
+        conditions: Conditions,
+        scene: Tensor,
+        level: Tensor,
+        noise: Tensor,
+        *,
+        guidance: float | None = None,
+        steps: int | None = None,
+    ) -> Tensor:
+        """`sample` after `encode_scene` gave `scene (B, E)`, or `(1, E)` for all."""
+        guidance = self.config.guidance if guidance is None else guidance
+        times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
+        context = self.encode(scene, level)
+        if not guidance:
+            return self.denoise(conditions, context, noise, times)
+        never = torch.zeros(1, dtype=torch.bool, device=noise.device)
+        nothing = self.encode(self._without_field(conditions), level, never)
+        weight = guidance * level[:, None, None] ** 4
+        return self.denoise(conditions, context, noise, times, nothing, weight)
 
     def denoise(
         self,
