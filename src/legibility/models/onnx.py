@@ -1,7 +1,7 @@
 """Both stages as ONNX graphs for onnxruntime: the results of PyTorch to rounding, in less time.
 
 A graph depends on a stage's settings, not on its weights: a session takes those from the model. So
-a file of some ten kB beside the weights is enough, and retraining needs no new export.
+a file of less than 100 kB beside the weights is enough, and retraining needs no new export.
 """
 
 from __future__ import annotations
@@ -32,15 +32,21 @@ __all__ = ["OnnxPathDiffuser", "OnnxPathPolicy", "export_graph", "load_graph"]
 _VERSION = 1
 """Of what the graphs compute; a new one makes stored graphs be exported again."""
 
-_NOT_TRACED = frozenset({"sigma", "alpha", "label", "limit", "execute"})
-"""Settings that a graph does not depend on."""
+_TRACED = (
+    "dim", "field", "channels", "condition", "encoder_width", "resolution", "squash", "chunk",
+    "diffusion_steps", "sampling_steps", "guidance",
+)  # fmt: skip
+"""Settings that a graph depends on."""
+
+_FEW = 16
+"""Rows up to which onnxruntime is faster; larger batches are left to PyTorch."""
 
 
 class OnnxPathDiffuser:
     """Draws the paths of `PathDiffuser.sample`, to rounding.
 
     Args:
-        model: stage 1; later changes of its weights are not seen.
+        model: stage 1, whose weights must not change afterwards.
         graph: see `load_graph`.
 
     Raises:
@@ -72,6 +78,8 @@ class OnnxPathDiffuser:
         config, size = self.model.config, len(level)
         _check_own("guidance", guidance, config.guidance)
         _check_own("steps", steps, config.sampling_steps)
+        if size > _FEW:
+            return self.model.sample(conditions, level, noise)
         several = len(conditions.vector) > 1
         feed = {
             "image": conditions.image.numpy(),
@@ -89,7 +97,7 @@ class OnnxPathPolicy:
     """Acts as `PathPolicy` does, to rounding.
 
     Args:
-        model: stage 2; later changes of its weights are not seen.
+        model: stage 2, whose weights must not change afterwards.
         graph: see `load_graph`.
 
     Raises:
@@ -111,6 +119,8 @@ class OnnxPathPolicy:
             InvalidInputError: the steps are not the model's own.
         """
         _check_own("steps", steps, self.config.sampling_steps)
+        if len(noise) > _FEW:
+            return self.model.act(observation, noise)
         feed = {
             "features": observation.features,
             "has_path": observation.has_path,
@@ -159,8 +169,8 @@ def export_graph(model: PathDiffuser | PathPolicy) -> bytes:
         from onnxscript import optimizer
     except ImportError as cause:
         raise MissingExtraError(
-            "the model has no ONNX graph for its settings yet and onnxscript, which exports it, "
-            "is not installed: pip install onnxscript"
+            "no ONNX graph fits the model's settings yet, and onnxscript, which exports one, is "
+            "not installed: pip install 'legibility[export]'"
         ) from cause
     with _quiet(), torch.no_grad(), torch.device("cpu"):
         example = _example(model)
@@ -199,7 +209,8 @@ class _Traced(nn.Module):
 
     def forward(self, *inputs: Tensor) -> Tensor:
         if isinstance(self.model, PathPolicy):
-            return self.model.denoise(*inputs)
+            features, has_path, noise = inputs
+            return self.model.denoise(features, has_path, noise)
         *scenes, scene, level, noise = inputs
         conditions = Conditions(*scenes)
         rows = conditions.without_image().map(lambda x: x.index_select(0, scene))
@@ -231,8 +242,9 @@ def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[i
 
 def _fingerprint(model: PathDiffuser | PathPolicy) -> str:
     """Of everything that a graph depends on."""
-    settings = {k: v for k, v in model.config.to_dict().items() if k not in _NOT_TRACED}
-    text = json.dumps([_VERSION, type(model).__name__, settings], sort_keys=True)
+    settings = model.config.to_dict()
+    traced = {name: settings.get(name) for name in _TRACED}
+    text = json.dumps([_VERSION, type(model).__name__, traced])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -264,7 +276,7 @@ def _session(model: nn.Module, graph: bytes) -> tuple[Any, list[Any]]:
         raise MissingExtraError(
             "onnxruntime is not installed: pip install 'legibility[onnx]'"
         ) from cause
-    # A name stands in the graph as protobuf writes it, its length first; guidance has some more.
+    # Without guidance a graph lacks some weights. A name stands in it with its length before it.
     tensors = {n: t for n, t in _tensors(model).items() if bytes([len(n)]) + n.encode() in graph}
     arrays = [np.array(t.detach().numpy(), np.float32, order="C") for t in tensors.values()]
     weights = [onnxruntime.OrtValue.ortvalue_from_numpy(array) for array in arrays]
