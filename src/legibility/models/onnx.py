@@ -7,6 +7,7 @@ a file of less than 100 kB beside the weights is enough, and retraining needs no
 from __future__ import annotations
 
 import contextlib
+import copy
 import hashlib
 import json
 import logging
@@ -18,12 +19,14 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS
 from ..errors import CheckpointError, InvalidInputError, MissingExtraError, OutputError
 from ..files import write_bytes
 from ..scene import Scene
+from .networks import FiLMUNet
 from .path_diffuser import Conditions, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
@@ -38,15 +41,12 @@ _TRACED = (
 )  # fmt: skip
 """Settings that a graph depends on."""
 
-_FEW = 16
-"""Rows up to which onnxruntime is faster; larger batches are left to PyTorch."""
-
 
 class OnnxPathDiffuser:
     """Draws the paths of `PathDiffuser.sample`, to rounding.
 
     Args:
-        model: stage 1, whose weights must not change afterwards.
+        model: stage 1; later changes of its weights are not seen.
         graph: see `load_graph`.
 
     Raises:
@@ -78,8 +78,6 @@ class OnnxPathDiffuser:
         config, size = self.model.config, len(level)
         _check_own("guidance", guidance, config.guidance)
         _check_own("steps", steps, config.sampling_steps)
-        if size > _FEW:
-            return self.model.sample(conditions, level, noise)
         several = len(conditions.vector) > 1
         feed = {
             "image": conditions.image.numpy(),
@@ -97,7 +95,7 @@ class OnnxPathPolicy:
     """Acts as `PathPolicy` does, to rounding.
 
     Args:
-        model: stage 2, whose weights must not change afterwards.
+        model: stage 2; later changes of its weights are not seen.
         graph: see `load_graph`.
 
     Raises:
@@ -119,8 +117,6 @@ class OnnxPathPolicy:
             InvalidInputError: the steps are not the model's own.
         """
         _check_own("steps", steps, self.config.sampling_steps)
-        if len(noise) > _FEW:
-            return self.model.act(observation, noise)
         feed = {
             "features": observation.features,
             "has_path": observation.has_path,
@@ -205,7 +201,8 @@ class _Traced(nn.Module):
 
     def __init__(self, model: PathDiffuser | PathPolicy) -> None:
         super().__init__()
-        self.model = model
+        self.model = copy.deepcopy(model)
+        self.model.unet.__class__ = _MatrixUNet
 
     def forward(self, *inputs: Tensor) -> Tensor:
         if isinstance(self.model, PathPolicy):
@@ -216,6 +213,71 @@ class _Traced(nn.Module):
         rows = conditions.without_image().map(lambda x: x.index_select(0, scene))
         encoded = self.model.encode_scene(conditions).index_select(0, scene)
         return self.model.draw(rows, encoded, level, noise)
+
+
+class _MatrixUNet(FiLMUNet):
+    """The same U-Net by matrix products over `(B, K, C)`.
+
+    A convolution of onnxruntime takes the rows of a batch one by one, and twice as long for so few
+    points.
+    """
+
+    def forward(self, x: Tensor, condition: Tensor) -> Tensor:
+        net: Any = self
+        h, skips = _convolved(net.inlet, x), []
+        for block, shrink in net.down:
+            h = _block(block, h, condition)
+            skips.append(h)
+            h = _convolved(shrink, h)
+        for block in net.middle:
+            h = _block(block, h, condition)
+        for grow, block in net.up:
+            h = _block(block, torch.cat([_grown(grow, h), skips.pop()], dim=2), condition)
+        return F.linear(h, net.outlet.weight[..., 0], net.outlet.bias)
+
+
+def _block(block: Any, x: Tensor, condition: Tensor) -> Tensor:
+    first, second = block.norms
+    scale, shift = block.film(condition)[:, None].chunk(2, dim=2)
+    scale = 1 + scale
+    h = _normalized(first, _convolved(block.first, x))
+    h = F.silu(h * (first.weight * scale) + (first.bias * scale + shift))
+    h = _normalized(second, _convolved(block.second, h))
+    skip = block.skip
+    x = F.linear(x, skip.weight[..., 0], skip.bias) if isinstance(skip, nn.Conv1d) else x
+    return x + F.silu(h * second.weight + second.bias)
+
+
+def _convolved(layer: nn.Conv1d, x: Tensor) -> Tensor:
+    """A convolution of width 3, `(B, K, C)` to `(B, K / stride, C′)`."""
+    stride = layer.stride[0]
+    rows = F.linear(_windows(x, stride), layer.weight.transpose(1, 2).flatten(1), layer.bias)
+    return rows.reshape(-1, x.shape[1] // stride, layer.out_channels)
+
+
+def _grown(layer: Any, x: Tensor) -> Tensor:
+    """The transposed convolution: two points from each with its neighbours, `(B, 2K, C′)`."""
+    after, even, odd, before = layer.weight.unbind(2)
+    none = torch.zeros_like(even)
+    weight = torch.cat([torch.cat([before, even, none]), torch.cat([none, odd, after])], dim=1)
+    rows = F.linear(_windows(x, 1), weight.T, torch.cat([layer.bias, layer.bias]))
+    return rows.reshape(-1, 2 * x.shape[1], layer.out_channels)
+
+
+def _windows(x: Tensor, stride: int) -> Tensor:
+    """`(B·K / stride, 3C)`: each point of `x (B, K, C)` between its neighbours."""
+    places = torch.arange(0, x.shape[1], stride)[:, None] + torch.arange(3)
+    padded = F.pad(x, (0, 0, 1, 1))
+    return padded.index_select(1, places.flatten()).reshape(-1, 3 * x.shape[2])
+
+
+def _normalized(layer: nn.GroupNorm, x: Tensor) -> Tensor:
+    """Group normalisation of `x (B, K, C)` without its affine part."""
+    (_, num, channels), groups = x.shape, layer.num_groups
+    grouped = x.reshape(-1, num, groups, channels // groups).transpose(1, 2)
+    rows = grouped.reshape(-1, groups, num * channels // groups)
+    rows = F.layer_norm(rows, rows.shape[2:], eps=layer.eps)
+    return rows.reshape(grouped.shape).transpose(1, 2).reshape(x.shape)
 
 
 def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[int, Any]]]:
