@@ -58,7 +58,7 @@ class Modulator:
             rounding, sooner); `onnx` keeps to the weights of now, and to their own guidance and
             number of steps.
         graphs: folder that keeps the graphs of the backend `onnx`; one that is not there yet is
-            exported, which takes some seconds and onnxscript.
+            exported, which needs onnxscript and up to a minute.
 
     Attributes:
         sampler: `PathDiffuser.sample`, as the backend runs it.

@@ -95,8 +95,8 @@ def test_actions_are_the_same(pair, size):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"dim": 3, "channels": (8, 16, 16), "field": False, "sampling_steps": 1},
-        {"sampling_steps": 2, "guidance": 0.7},
+        {"dim": 3, "channels": (8, 16, 16), "field": False, "sampling_steps": 1, "guidance": 0.0},
+        {"channels": (8,), "sampling_steps": 2, "guidance": 0.7},
     ],
     ids=str,
 )
@@ -155,7 +155,7 @@ class TestStoredGraph:
     def test_fits_the_shipped_weights(self, name, exported):
         folder = pretrained_folder(name)
         for model in load_stages(folder)[0].values():
-            assert len(onnx.load_graph(model, folder)) < 200_000
+            assert len(onnx.load_graph(model, folder)) < 500_000
         assert exported == []
 
     def test_is_exported_once(self, model, exported, tmp_path):

@@ -137,7 +137,7 @@ def _check_own(name: str, value: float | None, own: float) -> None:
 def load_graph(model: PathDiffuser | PathPolicy, folder: str | Path | None = None) -> bytes:
     """The graph of a stage: the one in `folder`, or exported now and kept there.
 
-    To export takes some seconds. A graph of other settings is replaced; a folder that cannot be
+    To export takes up to a minute. A graph of other settings is replaced; a folder that cannot be
     written to keeps none.
 
     Raises:
