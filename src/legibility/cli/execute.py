@@ -42,7 +42,7 @@ def execute(
 
     Args:
         scene: a file, .yaml or .json, with the keys start and goals.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
         model: name of weights that came with the package, or a folder; those of the scene's
             dimension if not given.

@@ -46,7 +46,7 @@ def plan(
 
     Args:
         scene: a file, .yaml or .json, with the keys start, goals and if wanted workspace.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
         model: name of weights that came with the package, or a folder; those of the scene's
             dimension if not given.

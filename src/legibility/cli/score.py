@@ -49,7 +49,7 @@ def score(
     Args:
         trajectories: a CSV file.
         scene: a scene file, .yaml or .json.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         sigma: the observer's σ [m]; 0.15 in 2D and 0.08 in 3D if not given.
         alpha: decay of the score's weight over progress.
         beta: rationality [1/m] of Dragan's observer.

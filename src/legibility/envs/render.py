@@ -32,7 +32,7 @@ def draw_scene(scene: Scene, target: int, position: Array, size: int = 480) -> N
 
     Args:
         scene: the scene as it is now.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         position: `(2,)` [m], of the end effector.
         size: pixels of the longer side.
     """

@@ -1,4 +1,4 @@
-"""What an observer believes over time: Dragan's observer, and readings of any observer's posterior.
+"""Belief over time: Dragan's observer, and metrics of any observer's posterior.
 
 A posterior is P(g) over time, `(..., T, G)`, its T times equally spaced; it comes from
 `InformationPotentialField.posterior` or from `dragan_posterior`. Progress t runs from 0 to 1.
@@ -41,7 +41,7 @@ __all__ = [
 Cost = Literal["length", "squared_velocity"]
 
 COSTS: tuple[Cost, ...] = ("length", "squared_velocity")
-"""What Dragan's observer takes the robot to minimise."""
+"""Costs that Dragan's observer assumes the robot minimises."""
 
 DEFAULT_BETA = 10.0
 """Rationality β [1/m]: with `length`, 0.1 m of detour makes a goal e times less likely."""
@@ -78,8 +78,8 @@ def dragan_posterior(
 
     * `length`: `C*(Q→g) = ‖g − Q‖` [m].
     * `squared_velocity`: a constant velocity over the time that is left, `C*(Q→g) = ‖g − Q‖² / 2τ`
-      [m²/s]. The observer knows the duration, (T − 1) Δt from S, so τ = (T − 1 − i) Δt from point
-      i. The last point has no time left: it is read as if one step were.
+      [m²/s]. The observer knows the duration, (T − 1) Δt from S, so τ = (T − 1 − i) Δt at point i,
+      and one step at the last point.
 
     Args:
         trajectory: `(..., T, D)` [m], points at equal time steps.
@@ -154,7 +154,7 @@ def early_intent(posterior: ArrayLike, target: int, fraction: float = 0.3) -> Ar
 
 
 def posterior_entropy(posterior: ArrayLike) -> Array:
-    """`H = −Σ_g P(g) log P(g)` at each time [nat], `(..., T)`; lower = more certain."""
+    """Entropy `−Σ_g P(g) log P(g)` at each time [nat], `(..., T)`; lower = more certain."""
     posterior = posterior_array(posterior)
     logs = np.log(np.where(posterior > 0, posterior, 1))
     return -(posterior * logs).sum(-1) + 0.0  # never −0

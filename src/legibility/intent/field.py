@@ -22,7 +22,7 @@ __all__ = ["InformationPotentialField"]
 
 
 class InformationPotentialField:
-    """An observer who takes each goal's likelihood to be a Gaussian around it (paper, section V.A).
+    """The posterior over goals of a Gaussian likelihood around each (paper, section V.A).
 
     `P(x|g) = N(x; g, σ²I)`, `P(g|x) = softmax_g(log P(g) − ‖x − g‖² / 2σ²)` (eq. 2) and
     `φ(x|g*) = −log P(g*|x)` (eq. 3).
@@ -55,7 +55,7 @@ class InformationPotentialField:
                 f"sigma must not vanish beside the goals' distances, got {sigma}"
             )
         if not self._slope.any():
-            raise InvalidInputError(f"sigma must let the goals be told apart, got {sigma}")
+            raise InvalidInputError(f"sigma must tell the goals apart, got {sigma}")
 
     @property
     def goals(self) -> Array:

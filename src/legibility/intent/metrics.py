@@ -1,4 +1,4 @@
-"""How an observer reads a trajectory: scores, costs and times, each with its source.
+"""Metrics of a trajectory: scores, costs and times, each with its source.
 
 Trajectories are `(..., T, D)` [m]; every function is vectorised over the leading axes.
 """
@@ -94,7 +94,7 @@ def legibility_score(
     Args:
         trajectory: `(..., T, D)` [m].
         field: the observer.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         alpha: decay α; 0 weighs all points alike.
     """
     points = resample(trajectory_array(trajectory, field.dim), SCORE_POINTS)
@@ -112,7 +112,7 @@ def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, targ
     Args:
         trajectory: `(..., T, D)` [m].
         field: the observer.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
     """
     potential = field.potential(trajectory_array(trajectory, field.dim), target)
     return potential @ _harmonic_weights(potential.shape[-1])
@@ -130,7 +130,7 @@ def distance_score(
     Args:
         trajectory: `(..., T, D)` [m].
         goals: `(G, D)` [m].
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         squared: sum `‖g⁻ − x_t‖²` [m²], as the equation has it.
     """
     points, goals, target = _checked(trajectory, goals, target)
@@ -147,7 +147,7 @@ def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
     Args:
         trajectory: `(..., T, D)` [m].
         goals: `(G, D)` [m], none at the target.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
     """
     points, goals, target = _checked(trajectory, goals, target)
     distractors = np.delete(goals, target, axis=0)
@@ -209,15 +209,15 @@ def evaluate_trajectory(
 ) -> dict[str, Array]:
     """Every metric of one or many trajectories by its name, each `(...)`.
 
-    Readings of a posterior come twice, `field_…` for the information potential field and
-    `dragan_…` for Dragan's observer with path length as the cost and the same prior. All but
-    `legibility_score` read the points as given, at equal time steps. A time that is never reached
-    is `inf`.
+    Metrics of a posterior come twice, `field_…` for the information potential field and `dragan_…`
+    for Dragan's observer with path length as the cost and the same prior. All but
+    `legibility_score` take the points to be at equal time steps. A time that is never reached is
+    `inf`.
 
     Args:
         trajectory: `(..., T, D)` [m].
         field: the observer; its goals and prior are also those of Dragan's.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         alpha: decay α of `legibility_score`.
         beta: rationality β [1/m] of Dragan's observer.
     """

@@ -1,4 +1,4 @@
-"""The quality-diversity archive: all ways to reach a goal, each scored and labelled (paper, V.B).
+"""The quality-diversity archive: all ways to reach a goal, scored and labelled (paper, V.B).
 
 MAP-Elites (Mouret & Clune 2015) over cubic Béziers: random curves first, then variations of the
 elites until hardly any new cell fills. A cell is a place of the workspace, a curve belongs to the
@@ -26,8 +26,8 @@ __all__ = ["Archive", "CurveGrid", "build_archive", "random_controls"]
 
 _BATCH = 1024
 _REACH = 1 / 3
-"""How far beyond the workspace control points are drawn, as a share of its side: a cubic Bézier
-gets three quarters of the way to its control points, so this much lets it touch the walls."""
+"""How far beyond the workspace control points are drawn, as a share of its side. A cubic Bézier
+gets three quarters of the way to its control points, so this lets it touch the walls."""
 
 DEFAULT_CELLS = {2: 48, 3: 16}
 """Cells along each axis of the workspace, by dimension."""
@@ -39,17 +39,17 @@ class Archive:
 
     Attributes:
         scene: the scene.
-        target: index of the goal that is meant.
-        observer: who scored and labelled them.
+        target: index of the intended goal.
+        observer: the one who scored and labelled them.
         controls: `(N, 4, D)` [m], control points of the cubic Béziers.
         trajectories: `(N, T, D)` [m], at equal arc length.
         descriptors: `(N, D)` [m], the most deviating point of each.
-        energies: `(N,)` [m²], bending energy, the quality that a cell keeps the least of.
+        energies: `(N,)` [m²], bending energy, which a cell minimises.
         scores: `(N,)`, `legibility_score`, higher = more legible.
         labels: `(N,)` in [−1, 1].
         straight_score: the straight line's score, where the anchored label is 0.
-        num_candidates: curves tried, those that left the workspace among them.
-        cells_reached: cells that the most deviating point of any candidate fell into, valid or not.
+        num_candidates: curves tried, including those that left the workspace.
+        cells_reached: cells that the most deviating point of any candidate fell into.
     """
 
     scene: Scene
@@ -111,7 +111,7 @@ class CurveGrid:
 
     Args:
         scene: gives the two ends and the workspace.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         cells: cells along each axis.
     """
 
@@ -174,14 +174,14 @@ def build_archive(
 
     Args:
         scene: the scene.
-        target: index of the goal that is meant.
-        observer: who scores and labels them.
-        seed: of the curves drawn.
+        target: index of the intended goal.
+        observer: the one who scores and labels them.
+        seed: of the random curves.
         cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
         random_candidates: curves with random control points, drawn first.
-        max_candidates: curves in all at most.
-        patience: variation ends when a batch fills fewer new cells than this share of those filled,
-            four batches running.
+        max_candidates: most curves in all.
+        patience: variation ends after four batches in a row that each fill fewer new cells than
+            this share of those filled.
 
     Raises:
         InvalidInputError: an argument is out of its range.

@@ -1,4 +1,4 @@
-"""Where a robot is on its path, what lies ahead, and a feedback controller that follows it."""
+"""Progress along a path, the stretch ahead, and a feedback controller that follows it."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ class PathTracker:
         return resample(np.clip(path_curve(paths, _POINTS), *self.workspace), _POINTS)
 
     def replace(self, rows: NDArray[np.intp], paths: Array) -> None:
-        """Give `rows` (indices) new `paths (N, K + 2, D)`, at whose starts they are."""
+        """Give `rows` (indices) new `paths (N, K + 2, D)`, which start at the robots."""
         self._curves[rows] = self._dense(paths)
         self.lengths[rows] = arc_length(self._curves[rows])
         self.progress[rows] = 0
 
     def of(self, rows: NDArray[np.intp]) -> PathTracker:
-        """A tracker of `rows` (indices) alone, as they are now."""
+        """A tracker of `rows` (indices) only, with their current progress."""
         part = copy.copy(self)
         for name in ("_curves", "lengths", "progress"):
             setattr(part, name, getattr(self, name)[rows])
