@@ -135,7 +135,6 @@ def _demonstrated(folder: Path) -> dict[str, Any]:
 
 def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list[Table]:
     facts = table(f"dataset {folder}", "", "", text_columns=2)
-    facts.show_header = False
     for name, value in config.to_dict().items():
         shown = "..".join(map(str, value)) if isinstance(value, list) else str(value)
         facts.add_row(name, shown)

@@ -34,7 +34,14 @@ def report(
         tables: a folder for each table as LaTeX and CSV, and the pictures as PDF.
     """
     from ..report.card import render_card
-    from ..report.results import KINDS, read_json, read_results, render_page, section_of, well_formed
+    from ..report.results import (
+        KINDS,
+        read_json,
+        read_results,
+        render_page,
+        section_of,
+        well_formed,
+    )
     from ..report.table import Table
 
     page = out or results.absolute().parent / "docs" / "results.md"
@@ -78,9 +85,7 @@ def _pictures(kind: str, result: dict[str, Any]) -> list[tuple[Callable[..., Non
     return []
 
 
-def _write(
-    texts: dict[Path, str], drawings: list[tuple[Callable[..., None], Any, Path]]
-) -> None:
+def _write(texts: dict[Path, str], drawings: list[tuple[Callable[..., None], Any, Path]]) -> None:
     """Write texts first, then pictures, which may fail."""
     from ..files import write_bytes
     from ..report.results import well_formed

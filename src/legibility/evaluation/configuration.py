@@ -33,7 +33,8 @@ class DialConfig:
         steps: of the sampler; the model's own if not given.
         closed_loop: measure executed motions instead of paths, each by a robot with other hidden
             properties.
-        env: environment of the execution, 2d, panda or pandagym; that of the dimension if not given.
+        env: environment of the execution, 2d, panda or pandagym; that of the dimension if not
+            given.
     """
 
     scenes: int = 200

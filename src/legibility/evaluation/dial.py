@@ -46,9 +46,7 @@ METRICS = {
     "length_ratio_at_0": Metric("length over the straight line's when asked 0", 1.0),
     "inside": Metric("share of curves inside the workspace", np.inf),
     "drawn_inside": Metric("the same, before curves are brought back to its walls", np.inf),
-    "beyond_archive": Metric(
-        "share of paths asked for ±1 beyond the archive's best", None
-    ),
+    "beyond_archive": Metric("share of paths asked for ±1 beyond the archive's best", None),
     "turning": Metric("angle that paths asked for ±1 turn through [rad]", None),
     "wrong_order": Metric("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
     "spread": Metric("standard deviation of the achieved ℓ among samples of a level", None),

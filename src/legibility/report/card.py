@@ -69,7 +69,7 @@ def _modulator(
             _check(f"{kind}-{name}", results[kind][name]["model"], name, stage, config)
     path, record = config["path"]["config"], records["path"]
     observer, data = path["observer"], record.data
-    stages = f"Stage 1, the path diffuser, goes from start, goals and ℓ to {NUM_WAYPOINTS} waypoints."
+    stages = f"Stage 1, the path diffuser, turns start, goals and ℓ into {NUM_WAYPOINTS} waypoints."
     if "policy" in records:
         stages += " Stage 2, the path-guided policy, turns the path into actions, closed loop."
     parts: list[Part] = [
@@ -95,7 +95,7 @@ def _modulator(
         *parts,
         "## Metrics",
         table,
-        f"{_POINTER}",
+        _POINTER,
         "## Limits",
         "The observer is a model (a Gaussian around each goal), not a person. The weights were "
         f"trained in the default workspace of {path['dim']}-D scenes only and know no obstacles. "
@@ -229,8 +229,6 @@ def _trained(record: TrainingRecord, batch: str) -> str:
     )
 
 
-def _check(
-    stem: str, used: dict[str, str], name: str, stage: str, config: dict[str, Any]
-) -> None:
+def _check(stem: str, used: dict[str, str], name: str, stage: str, config: dict[str, Any]) -> None:
     if used.get(stage) != config[stage]["sha256"]:
         raise InvalidInputError(f"{stem}.json is a result of other weights than {name}")

@@ -21,7 +21,7 @@ _PAPER = {
     "oracle": "Dataset Oracle",
 }
 """The paper's row of a method."""
-_ARROWS = dict(zip(TESTED, "↑↓", strict=True))
+_ARROWS: dict[str, str] = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
 _PLACES = {
     2: "The scene is read off the paper’s figure, L_d is in its simulator’s frame.",
@@ -71,6 +71,7 @@ def _table1(result: dict[str, Any], paper: dict[str, dict[str, float | None]]) -
             row += [Bold(text) if better else text, _paper(paper, name, letter, metric)]
         success = min(t["success"]["mean"] for t in method["targets"].values())
         table.add_row(METHODS[name].text, _floor(success), *row)
+    table.add_section()
     row = []
     for letter, metric in cells:
         value = result["oracle"][letter][metric]

@@ -7,7 +7,7 @@ import io
 import math
 import re
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,21 +60,30 @@ class Table:
         ]
         self.title = title
         self.rows: list[tuple[Cell, ...]] = []
+        self.sections: set[int] = set()
 
     def add_row(self, *cells: Cell) -> None:
         """Append a row of one cell a column."""
         assert len(cells) == len(self.columns), (cells, self.columns)
         self.rows.append(cells)
 
+    def add_section(self) -> None:
+        """Draw a line below the last row, on the terminal and in LaTeX."""
+        self.sections.add(len(self.rows))
+
     def rich(self) -> Any:
         """The table for `rich.console.Console.print`."""
         import rich.table
         from rich.text import Text
 
-        result = rich.table.Table(title=Text(self.title) if self.title else None, title_justify="left")
+        title = Text(self.title) if self.title else None
+        heads = any(column.text for column in self.columns)
+        result = rich.table.Table(title=title, title_justify="left", show_header=heads)
         for column in self.columns:
             result.add_column(Text(column.text), justify="left" if column.left else "right")
-        for row in self.rows:
+        for index, row in enumerate(self.rows):
+            if index in self.sections:
+                result.add_section()
             result.add_row(*(Text(_text(c), "bold" * isinstance(c, Bold)) for c in row))
         return result
 
@@ -96,12 +105,17 @@ class Table:
             r"\toprule",
             *self._latex_groups(),
             " & ".join(_latex(column.name) for column in self.columns) + r" \\",
-            r"\midrule",
-            *(" & ".join(map(_latex, row)) + r" \\" for row in self.rows),
+            *self._latex_rows(),
             r"\bottomrule",
             r"\end{tabular}",
         ]
         return "\n".join(lines) + "\n"
+
+    def _latex_rows(self) -> Iterator[str]:
+        for index, row in enumerate(self.rows):
+            if index == 0 or index in self.sections:
+                yield r"\midrule"
+            yield " & ".join(map(_latex, row)) + r" \\"
 
     def _latex_groups(self) -> list[str]:
         """The line of groups and the rules below them."""
