@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 import re
 import textwrap
@@ -119,14 +120,15 @@ class Table:
 
     def _latex_groups(self) -> list[str]:
         """The line of groups and the rules below them."""
-        cells, rules, first = [], [], 0
-        while first < len(self.columns):
-            group, last = self.columns[first].group, first + 1
-            while group and last < len(self.columns) and self.columns[last].group == group:
-                last += 1
-            cells.append(rf"\multicolumn{{{last - first}}}{{c}}{{{_latex(group)}}}" * bool(group))
-            rules += [rf"\cmidrule(lr){{{first + 1}-{last}}}"] * bool(group)
-            first = last
+        cells, rules, first = [], [], 1
+        for group, columns in itertools.groupby(self.columns, key=lambda column: column.group):
+            size = len(list(columns))
+            if group:
+                cells.append(rf"\multicolumn{{{size}}}{{c}}{{{_latex(group)}}}")
+                rules.append(rf"\cmidrule(lr){{{first}-{first + size - 1}}}")
+            else:
+                cells += [""] * size
+            first += size
         return [" & ".join(cells) + r" \\", "".join(rules)] if rules else []
 
     def csv(self) -> str:
