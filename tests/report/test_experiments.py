@@ -15,7 +15,7 @@ from legibility.report.experiments import Experiment, main, read_experiments
 
 ROOT = Path(__file__).parent.parent.parent
 ENTRY = '[{}]\ncommand = "{}"\nweights = ["block-reach-2d"]\n'
-COMMAND = "plan {}/examples/paper.yaml --legibility 0".format(ROOT)
+COMMAND = f"plan {ROOT}/examples/paper.yaml --legibility 0"
 
 
 @pytest.fixture

@@ -96,7 +96,7 @@ METRICS = {
     "length_ratio": Metric("length over the straight line's", None),
     "achieved": Metric("achieved ℓ", True),
     "time_to_confidence": Metric("time to confidence", False),
-    "dragan_legibility": Metric("Dragan’s legibility", True),
+    "dragan_legibility": Metric("Dragan's legibility", True),
 }
 """The metrics of a motion."""
 

@@ -26,7 +26,7 @@ tags: [robotics, human-robot-interaction, legibility, diffusion{tag}]
 """
 _POINTER = (
     "All metrics with their intervals, and the commands that measured them, are in the "
-    "repository’s `docs/results.md`."
+    "repository's `docs/results.md`."
 )
 
 
@@ -90,7 +90,7 @@ def _modulator(
             _demonstrated(policy, path["dim"]),
             _trained(policy, "{batch:,} moments of demonstrations"),
         ]
-    table = headline_table({kind: results[kind] for kind in kinds}, {name: "mean"})
+    table = headline_table({kind: results[kind] for kind in kinds}, {name: "value"})
     return [
         *parts,
         "## Metrics",
@@ -99,7 +99,7 @@ def _modulator(
         "## Limits",
         "The observer is a model (a Gaussian around each goal), not a person. The weights were "
         f"trained in the default workspace of {path['dim']}-D scenes only and know no obstacles. "
-        "Labels are ranks within a scene’s archive: the same ℓ is another score in another scene.",
+        "Labels are ranks within a scene's archive: the same ℓ is another score in another scene.",
     ]
 
 
@@ -124,7 +124,7 @@ def _stage_1(path: dict[str, Any], record: TrainingRecord) -> list[Part]:
         f"drew {settings['pairs']} paths over the whole dial; from the same noise the student "
         "learns to draw nearly the same path, to achieve the asked label (weight "
         f"{settings['score_weight']:g}), and to have no more jerk (weight "
-        f"{settings['jerk_weight']:g}). The time includes the teacher’s draws:",
+        f"{settings['jerk_weight']:g}). The time includes the teacher's draws:",
         _trained(record, batch),
     ]
 
@@ -162,9 +162,9 @@ def _baseline(
     return [
         *parts,
         "## Limits",
-        "It is trained on stage 2’s demonstrations, which reach goals in many random scenes in all "
-        "ways, with stage 2’s budget and network size, and not, as by its authors, on "
-        "demonstrations of a single scene; it does not reach the paper’s metrics.",
+        "It is trained on stage 2's demonstrations, which reach goals in many random scenes in all "
+        "ways, with stage 2's budget and network size, and not, as by its authors, on "
+        "demonstrations of a single scene; it does not reach the paper's numbers.",
     ]
 
 

@@ -24,7 +24,7 @@ _PAPER = {
 _ARROWS: dict[str, str] = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
 _PLACES = {
-    2: "The scene is read off the paper’s figure, L_d is in its simulator’s frame.",
+    2: "The scene is read off the paper's figure, L_d is in its simulator's frame.",
     3: "The scene is ours (`examples/panda.yaml`), as the paper publishes no coordinates, so L_d "
     "too is comparable only as a ratio.",
 }
@@ -37,10 +37,10 @@ def table1_section(document: dict[str, Any]) -> list[Part]:
     return [
         f"{config['rollouts']} rollouts of each method toward either target in "
         f"{WORLDS[result['env']]}, ℓ = 1 (seed {document['seed']}). {_PLACES[dim]} Brackets hold "
-        "the ratio to the oracle, ours to our oracle and the paper’s to the paper’s: its L_p is of "
+        "the ratio to the oracle, ours to our oracle and the paper's to the paper's: its L_p is of "
         "another field, so only ratios of L_p are comparable. Means are over all rollouts, arrived "
         "or not; success is that of the worse target. All methods share robots and seeds. Bold is "
-        f"significantly better than Diffusion Policy (p < {_SIGNIFICANT} after Holm’s correction "
+        f"significantly better than Diffusion Policy (p < {_SIGNIFICANT} after Holm's correction "
         f"over the {len(result['tests'])} tests of the table), as in the paper.",
         _table1(result, paper_rows(dim)),
         "Means over both targets. The time to confidence is the share of the motion after which "
@@ -120,12 +120,12 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
     return [
         f"{scenes_of(document)}, in {WORLDS[result['env']]}. L_d and L_p are of "
         f"{config['rollouts']} motions a scene with ℓ = 1: medians over scenes of the ratio to the "
-        "most legible trajectory of the scene’s archive, itself not executed, with 95 % intervals; "
+        "most legible trajectory of the scene's archive, itself not executed, with 95 % intervals; "
         f"an L_p below {result['least']['potential_cost']:g} counts as that much. Length and "
-        "achieved ℓ are means over scenes, arrived or not. Spearman’s correlation and the error "
+        "achieved ℓ are means over scenes, arrived or not. Spearman's correlation and the error "
         f"are of {config['levels']} more executed motions a scene, one of each level, for methods "
         "that take an ℓ; their success counts too. Between the ends the best of "
-        f"{CANDIDATES} is chosen by labels of an archive of the scene (as is the oracle’s), which "
+        f"{CANDIDATES} is chosen by labels of an archive of the scene (as is the oracle's), which "
         "takes longer than drawing the paths; the searches know only the labels of their own "
         "curves. Bold is as in Table I, paired by scene.",
         table,
@@ -163,7 +163,7 @@ def spectrum_section(document: dict[str, Any]) -> list[Part]:
     return [
         f"{config['rollouts']} motions at each of {config['levels']} levels of ℓ toward either "
         f"target of Table I, executed in {WORLDS[result['env']]} (seed {document['seed']}). The "
-        f"mean of the paper’s L_p: {'; '.join(trends)}. The picture’s bands are 95 % intervals.",
+        f"mean of the paper's L_p: {'; '.join(trends)}. The picture's bands are 95 % intervals.",
         table,
     ]
 
@@ -180,7 +180,7 @@ def _tests(result: dict[str, Any], cells: list[str]) -> list[Part]:
                 table.add_row(row, METHODS[name].text, *verdicts)
     return [
         "Paired two-sided Wilcoxon tests, with the rank-biserial correlation as the effect (1: "
-        "better in every pair, −1: worse) and p after Holm’s correction:",
+        "better in every pair, −1: worse) and p after Holm's correction:",
         table,
     ]
 

@@ -46,7 +46,7 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
         "displaces the robot, a shift the target, half-way and in a random direction, by "
         f"{100 * result['disturbance']:g} cm.",
         table,
-        "Spearman’s correlation and the mean error compare the asked ℓ with that of the executed "
+        "Spearman's correlation and the mean error compare the asked ℓ with that of the executed "
         "motion, whether it arrived or not. They are missing where the target moved, because ℓ "
         "belongs to a scene. Deviation is the mean distance from the curve followed at the time, "
         "over the length of the first curve. The plans alone have a correlation of "
