@@ -23,17 +23,20 @@ NUM_WAYPOINTS = 8
 """K, the waypoints of a path between start and goal (paper, section V.C)."""
 
 
+@np.errstate(under="ignore")
 def cumulative_length(trajectory: Array) -> Array:
     """Length [m] from the start to each point, `(..., T)`."""
     steps = np.linalg.norm(np.diff(trajectory, axis=-2), axis=-1)
     return np.concatenate([np.zeros_like(steps[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
 
 
+@np.errstate(under="ignore")
 def arc_length(trajectory: Array) -> Array:
     """Length [m] of each trajectory, `(...)`."""
     return np.linalg.norm(np.diff(trajectory, axis=-2), axis=-1).sum(-1)
 
 
+@np.errstate(under="ignore")
 def turning(trajectory: Array) -> Array:
     """Angle [rad] that the steps of each trajectory turn through in all, `(...)`.
 
@@ -74,6 +77,7 @@ def equal_arc_positions(cumulative: Array, num_points: int) -> Array:
     return positions.reshape(*batch, num_points)
 
 
+@np.errstate(under="ignore")
 def resample(trajectory: Array, num_points: int) -> Array:
     """`num_points` points at equal arc length along each trajectory, `(..., num_points, D)`.
 
@@ -139,6 +143,7 @@ def distance_to_segment(points: Array, start: Array, end: Array) -> Array:
     return np.sqrt(_squared_distance_to_segment(points, start, end))
 
 
+@np.errstate(under="ignore")
 def farthest_from_segment(trajectory: Array, start: Array, end: Array) -> Array:
     """The most deviating point `(..., D)` of each trajectory from the straight line start–end."""
     index = np.argmax(_squared_distance_to_segment(trajectory, start, end), axis=-1)
@@ -155,6 +160,7 @@ def _squared_distance_to_segment(points: Array, start: Array, end: Array) -> Arr
     return np.asarray(sum((o - along * v) ** 2 for o, v in zip(offsets, direction, strict=True)))
 
 
+@np.errstate(under="ignore")
 def path_curve(path: Array, num_points: int) -> Array:
     """The smooth curve `(..., num_points, D)` through a path `(..., K + 2, D)` [m]."""
     return spline_matrix(path.shape[-2], num_points) @ path

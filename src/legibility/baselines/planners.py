@@ -27,6 +27,7 @@ def straight_path(scene: Scene, target: int, level: float, observer: Observer) -
     return Path.through(points, scene, target, np.asarray(level), observer)
 
 
+@np.errstate(under="ignore")
 def archive_path(archive: Archive, level: float) -> Path:
     """The archive's trajectory whose label is nearest to ℓ: at 1 its most legible one."""
     controls = archive.controls[[archive.nearest(level)]]
@@ -36,6 +37,7 @@ def archive_path(archive: Archive, level: float) -> Path:
     )  # fmt: skip
 
 
+@np.errstate(under="ignore")
 def search(
     scene: Scene,
     target: int,

@@ -98,15 +98,15 @@ def plan(
             dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)
         ],
     }
-    if figure is not None:
-        from ..figures.dial import plan_figure
-
-        plan_figure(path, figure)
     if csv is not None:
         from .trajectories import write_trajectories
 
         write_trajectories(csv, [f"{level:g}" for level in asked], trajectories)
     write_report(json, seed=seed, config=config, model=model_record(model), result=result)
+    if figure is not None:
+        from ..figures.dial import plan_figure
+
+        plan_figure(path, figure)
 
     figures = table(
         f"{scene}, goal {target}, {model}", "asked ℓ", "achieved ℓ", "score", "length ratio"

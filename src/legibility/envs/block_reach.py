@@ -215,6 +215,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         disturbed = np.zeros(self.num_envs, dtype=bool)
         return self._observation(), self._info(disturbed)
 
+    @np.errstate(under="ignore")
     def step(
         self, actions: Array
     ) -> tuple[dict[str, Any], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:

@@ -82,15 +82,19 @@ class InformationPotentialField:
         """D."""
         return self.goals.shape[-1]
 
+    @np.errstate(under="ignore")
     def log_posterior(self, x: ArrayLike) -> Array:
         """`log P(g|x)` for every goal, `(..., G)`, of points `(..., D)` [m]."""
         logits = self._logits(finite_array("x", x, min_ndim=1, last=self.dim))
+        logits -= logits.max(axis=-1, keepdims=True)  # log 2 is lost beside a large number
         return logits - np.logaddexp.reduce(logits, axis=-1, keepdims=True)
 
+    @np.errstate(under="ignore")
     def posterior(self, x: ArrayLike) -> Array:
         """`P(g|x)` (eq. 2) for every goal, `(..., G)`, of points `(..., D)` [m]."""
         return np.exp(self.log_posterior(x))
 
+    @np.errstate(under="ignore")
     def potential(self, x: ArrayLike, target: int) -> Array:
         """`φ(x|g*) = −log P(g*|x)` (eq. 3), `(...)` ≥ 0, of points `(..., D)` [m].
 

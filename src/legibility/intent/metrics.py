@@ -68,6 +68,7 @@ SCORE_POINTS = 48
 
 
 @functools.lru_cache(maxsize=32)
+@np.errstate(under="ignore")
 def score_weights(num_points: int, alpha: float) -> Array:
     """`f(t) = exp(−α t)` at `num_points` equal steps of t ∈ [0, 1], `(num_points,)`, summing to 1.
 
@@ -80,6 +81,7 @@ def score_weights(num_points: int, alpha: float) -> Array:
     return weights
 
 
+@np.errstate(under="ignore")
 def legibility_score(
     trajectory: ArrayLike,
     field: InformationPotentialField,
@@ -103,6 +105,7 @@ def legibility_score(
     )
 
 
+@np.errstate(under="ignore")
 def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, target: int) -> Array:
     """`L_p = Σ_t φ(x_t|g*) / t`, t = 1 … T over the points as given, `(...)`; lower = better.
 
@@ -118,6 +121,7 @@ def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, targ
     return potential @ _harmonic_weights(potential.shape[-1])
 
 
+@np.errstate(under="ignore")
 def distance_score(
     trajectory: ArrayLike, goals: ArrayLike, target: int, squared: bool = False
 ) -> Array:
@@ -138,6 +142,7 @@ def distance_score(
     return (nearest**2 if squared else nearest) @ _harmonic_weights(nearest.shape[-1])
 
 
+@np.errstate(under="ignore")
 def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
     """`Σ_t (‖x_t − g⁻‖ / ‖g* − g⁻‖) / t`, t = 1 … T, `(...)`; higher = better.
 
@@ -158,6 +163,7 @@ def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
     return smallest @ _harmonic_weights(smallest.shape[-1])
 
 
+@np.errstate(under="ignore")
 def predictability(trajectory: ArrayLike) -> Array:
     """Straight length / length between the two ends, `(...)` in [0, 1]; higher = better.
 
@@ -174,6 +180,7 @@ def predictability(trajectory: ArrayLike) -> Array:
     return np.minimum(ratio, 1)  # rounding
 
 
+@np.errstate(under="ignore")
 def regularised_legibility(legibility: ArrayLike, cost: ArrayLike, weight: float) -> Array:
     """`L(ξ) − λ C(ξ)` (Dragan and Srinivasa, RSS 2013), `(...)`; higher = better.
 
@@ -200,6 +207,7 @@ def budgeted_legibility(legibility: ArrayLike, cost: ArrayLike, budget: float) -
     return np.where(cost <= bounded("budget", budget, 0), legibility, -np.inf)
 
 
+@np.errstate(under="ignore")
 def evaluate_trajectory(
     trajectory: ArrayLike,
     field: InformationPotentialField,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, count, finite_array, positive, random_seed, target_index
+from ..checks import Array, count, finite_array, positive, seed_or_entropy, target_index
 from ..curves import farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.field import InformationPotentialField
@@ -78,6 +78,7 @@ class Archive:
         """Cells filled, as a share of the cells that any candidate reached."""
         return len(self) / self.cells_reached
 
+    @np.errstate(under="ignore")
     def label_of(self, scores: ArrayLike) -> Array:
         """The achieved label of any scores `(...)`: monotone in the score, clipped to [−1, 1].
 
@@ -87,6 +88,7 @@ class Archive:
         knots, labels = self._knots
         return np.interp(scores, knots, labels)
 
+    @np.errstate(under="ignore")
     def score_of(self, labels: ArrayLike) -> Array:
         """The inverse of `label_of`: the score `(...)` at which a label is read."""
         knots, values = self._knots
@@ -159,12 +161,13 @@ class CurveGrid:
         return new
 
 
+@np.errstate(under="ignore")
 def build_archive(
     scene: Scene,
     target: int = 0,
     *,
     observer: Observer = DEFAULT_OBSERVER,
-    seed: int | np.random.SeedSequence = 0,
+    seed: int | np.random.SeedSequence | None = 0,
     cells: int | None = None,
     random_candidates: int = 4096,
     max_candidates: int = 65_536,
@@ -176,7 +179,7 @@ def build_archive(
         scene: the scene.
         target: index of the intended goal.
         observer: the one who scores and labels them.
-        seed: of the random curves.
+        seed: of the random curves; None draws others each time.
         cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
         random_candidates: curves with random control points, drawn first.
         max_candidates: most curves in all.
@@ -196,7 +199,7 @@ def build_archive(
     max_candidates = count("max_candidates", max_candidates, low=random_candidates)
     positive("patience", patience)
     if not isinstance(seed, np.random.SeedSequence):
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
     grid = CurveGrid(scene, target, cells)

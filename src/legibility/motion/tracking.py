@@ -45,6 +45,7 @@ class PathTracker:
         self.lengths = arc_length(self._curves)
         self.progress = np.zeros(len(paths))
 
+    @np.errstate(under="ignore")
     def _dense(self, paths: Array) -> Array:
         return resample(np.clip(path_curve(paths, _POINTS), *self.workspace), _POINTS)
 
@@ -61,6 +62,7 @@ class PathTracker:
             setattr(part, name, getattr(self, name)[rows])
         return part
 
+    @np.errstate(under="ignore")
     def points(self, arc: Array) -> Array:
         """Points `(B, P, D)` [m] at arc lengths `(B, P)` [m]; beyond the end it is the goal."""
         size = self._curves.shape[1] - 1
@@ -74,6 +76,7 @@ class PathTracker:
         """Points `(B, P, D)` [m] at arc lengths `offsets (P,)` or `(B, P)` [m] ahead."""
         return self.points(self.progress[:, None] + offsets)
 
+    @np.errstate(under="ignore")
     def update(self, positions: Array, previous: Array) -> None:
         """The robots have moved from `previous` to `positions (B, D)` [m]."""
         moved = np.linalg.norm(positions - previous, axis=-1)
@@ -93,6 +96,7 @@ class PathTracker:
         return np.linalg.norm(self.ahead(np.zeros(1))[:, 0] - positions, axis=-1)
 
 
+@np.errstate(under="ignore")
 def feedback_action(tracker: PathTracker, positions: Array) -> Array:
     """Displacements `(B, D)` [m] that lead to a point a little ahead on the path.
 
