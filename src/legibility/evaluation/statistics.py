@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 CONFIDENT = 0.8
-"""The P(target) of the time to confidence: from it on, held for good, the intent is clear."""
+"""From this P(target) on, held for good, the intent is clear."""
 
 
 def bootstrap_interval(
@@ -47,7 +47,7 @@ def bootstrap_interval(
 
 
 def clear_step(posterior: Array, target: int) -> int | None:
-    """The state of `posterior (T, G)` from which on the intent is clear; None if it never is."""
+    """From which state of `posterior (T, G)` on the intent is clear; None if it never is."""
     share = float(time_to_confidence(posterior, target, CONFIDENT))
     return round(share * (len(posterior) - 1)) if np.isfinite(share) else None
 

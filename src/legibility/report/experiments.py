@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from ..errors import InvalidInputError
 from ..files import file_hash, read_text
@@ -47,8 +46,8 @@ class Experiment:
 
     name: str
     command: str
-    weights: tuple[str, ...]
-    extras: tuple[str, ...] = ()
+    weights: Sequence[str]
+    extras: Sequence[str] = ()
     data: str | None = None
     by_name: bool = False
 
@@ -89,13 +88,8 @@ def read_experiments(file: Path) -> dict[str, Experiment]:
         InvalidInputError: it cannot be read, or an entry is malformed.
     """
     try:
-        content: dict[str, dict[str, Any]] = tomllib.loads(read_text(file, "experiments"))
-        return {
-            name: Experiment(
-                name, **{k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
-            )
-            for name, entry in content.items()
-        }
+        content = tomllib.loads(read_text(file, "experiments"))
+        return {name: Experiment(name, **entry) for name, entry in content.items()}
     except (tomllib.TOMLDecodeError, TypeError, AttributeError) as cause:
         raise InvalidInputError(f"{file} is malformed: {cause}") from cause
 
