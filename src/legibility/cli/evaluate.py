@@ -38,6 +38,12 @@ _Unseen = flags(UnseenConfig)
 _Spectrum = flags(SpectrumConfig)
 _Ablations = flags(AblationsConfig)
 
+Model = Annotated[str, arg(help="name of shipped weights, or a folder")]
+RobotModel = Annotated[
+    OptionalText,
+    arg(help="name of shipped weights, or a folder; those of the environment if not given"),
+]
+
 
 @dataclass(frozen=True)
 class Report:
@@ -103,16 +109,9 @@ def dial(
     evaluation: Annotated[Any, arg(constructor=_Dial)],
     workers: Workers,
     output: DrawnReport,
-    model: str = MODEL,
+    model: Model = MODEL,
 ) -> None:
-    """Measure achieved against asked legibility on held-out scenes.
-
-    Args:
-        evaluation: settings.
-        workers: processes.
-        output: files.
-        model: name of shipped weights, or a folder.
-    """
+    """Measure achieved against asked legibility on held-out scenes."""
     settings = made(DialConfig, evaluation)
     from ..evaluation.dial import evaluate_dial
     from ..modulator import Modulator
@@ -132,19 +131,13 @@ def execution(
     evaluation: Annotated[Any, arg(constructor=_Execution)],
     workers: Workers,
     output: Report,
-    model: str = MODEL,
+    model: Model = MODEL,
 ) -> None:
     """Measure executed motions: success, dial, deviation and safety, and the value of stage 2.
 
     Stage 2, also pushed and with a moving target, is compared with stage 2 without the path, the
     path's displacements in open loop, and the feedback controller of the demonstrations. All share
     scenes, plans and hidden gains.
-
-    Args:
-        evaluation: settings.
-        workers: processes.
-        output: files.
-        model: name of shipped weights, or a folder.
     """
     settings = made(ExecutionConfig, evaluation)
     from ..evaluation.execution import evaluate_execution
@@ -168,12 +161,6 @@ def table1(
     Its scene has two goals, R and G. The modulator, with one path and as the best of 64, is
     compared with Diffusion Policy, Legibility Diffuser, the straight line, random search in the
     same and in ten times the time, and the archive's most legible trajectory.
-
-    Args:
-        evaluation: settings.
-        workers: processes.
-        contestants: weights.
-        output: files.
     """
     settings = made(Table1Config, evaluation)
     from ..evaluation.table1 import evaluate_table1
@@ -188,14 +175,7 @@ def unseen(
     contestants: Contestants,
     output: Report,
 ) -> None:
-    """The methods of table1 on held-out scenes, relative to each scene's oracle.
-
-    Args:
-        evaluation: settings.
-        workers: processes.
-        contestants: weights.
-        output: files.
-    """
+    """The methods of table1 on held-out scenes, relative to each scene's oracle."""
     settings = made(UnseenConfig, evaluation)
     from ..evaluation.unseen import evaluate_unseen
     from ..report.comparison import unseen_section
@@ -230,16 +210,9 @@ def _compare(
 def spectrum(
     evaluation: Annotated[Any, arg(constructor=_Spectrum)],
     output: DrawnReport,
-    model: OptionalText = None,
+    model: RobotModel = None,
 ) -> None:
-    """The paper's figure 3: executed motions over the whole dial in the scene of Table I.
-
-    Args:
-        evaluation: settings.
-        output: files.
-        model: name of shipped weights, or a folder; those of the environment's dimension if not
-            given.
-    """
+    """The paper's figure 3: executed motions over the whole dial in the scene of Table I."""
     settings = made(SpectrumConfig, evaluation)
     from ..envs import environment_dim
     from ..evaluation.spectrum import Spectrum, evaluate_spectrum
@@ -260,26 +233,17 @@ def spectrum(
 
 def ablations(
     evaluation: Annotated[Any, arg(constructor=_Ablations)],
-    data: Annotated[Path, arg(metavar="DIR")],
-    out: Annotated[Path, arg(metavar="DIR")],
+    data: Annotated[Path, arg(metavar="DIR", help="dataset; small runs use its first scenes")],
+    out: Annotated[Path, arg(metavar="DIR", help="folder of the small runs and measured rows")],
     output: Report,
-    model: str = MODEL,
-    workers: int = 1,
-    device: OptionalText = None,
+    model: Model = MODEL,
+    workers: Annotated[int, arg(help="processes that make data")] = 1,
+    device: Annotated[OptionalText, arg(help="cpu or cuda; if not given, a GPU if any")] = None,
 ) -> None:
     """Measure the dial of the weights under other samplers, and of small runs that lack a part.
 
     Small runs are trained in OUT: the reference, without the field, on rank labels, and on other
     numbers of scenes. Interrupted, the same command resumes.
-
-    Args:
-        evaluation: settings, also of the small runs.
-        data: folder of the dataset whose first scenes small runs are trained on.
-        out: folder of the small runs, their data and the measured rows.
-        output: files.
-        model: name of shipped weights, or a folder.
-        workers: processes that make data.
-        device: cpu or cuda; a GPU where there is one if not given.
     """
     settings = made(AblationsConfig, evaluation)
     check_folder(out, "small runs")
