@@ -15,10 +15,8 @@ from importlib import metadata
 from textwrap import shorten
 from typing import Any
 
-from rich.table import Table
-from rich.text import Text
-
 from ..errors import LegibilityError
+from ..report.table import Table
 from .options import OutputFile
 from .output import check_file, progress_bar, show, table, write_report
 
@@ -259,7 +257,7 @@ def _error_of(found: dict[str, dict[str, Any]], name: str) -> str | None:
 def _rows(rows: Iterator[tuple[str, ...]], title: str, *columns: str) -> Table:
     result = table(title, *columns, text_columns=len(columns))
     for row in rows:
-        result.add_row(*map(Text, row))  # text, for [extra] is markup to rich
+        result.add_row(*row)
     return result
 
 
