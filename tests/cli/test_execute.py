@@ -67,7 +67,7 @@ def test_is_what_the_package_does(executed):
     env = BlockReach2DVector(3)
     options = {"scene": lg.Scene.load("scene.yaml"), "target": 1, "push": 0.1, "noise": 0.001}
     env.reset(seed=[4, 4, 4], options=options)
-    assert len(set(env.gains)) == 1  # ℓ alone makes the difference
+    assert len(set(env.hidden["gain"])) == 1  # ℓ alone makes the difference
     modulator = lg.Modulator.from_pretrained("block-reach-2d")
     rollouts = modulator.execute(env, legibility=[-1, 0, 1], seed=4)
     for row, rollout in zip(content["result"]["rollouts"], rollouts, strict=True):
