@@ -14,7 +14,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ..checks import Array, bounded, count, finite_array, random_seed, target_index
+from ..checks import (
+    Array,
+    bounded,
+    count,
+    finite_array,
+    for_each,
+    random_seed,
+    target_index,
+)
 from ..errors import InvalidInputError, InvalidSceneError
 from ..scene import DEFAULT_WORKSPACE, Scene
 from . import MAX_EPISODE_STEPS
@@ -181,8 +189,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             )
         if isinstance(seed, int | np.integer):
             seed = [random_seed("seed", seed) + i for i in range(self.num_envs)]
-        seeds = self._for_each("seed", seed)
-        values = {name: self._for_each(name, value) for name, value in options.items()}
+        seeds = for_each("seed", seed, self.num_envs)
+        values = {name: for_each(name, value, self.num_envs) for name, value in options.items()}
         # All episodes are drawn before any is changed, so that a bad option changes nothing.
         episodes: dict[int, tuple[np.random.Generator, _Episode]] = {}
         for i in np.flatnonzero(mask).tolist():
@@ -219,16 +227,6 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         if not self.scenes and not mask.all():
             raise InvalidInputError("reset_mask must select all in the first reset")
         return mask
-
-    def _for_each(self, name: str, value: Any) -> list[Any]:
-        """A value for each environment, given one for all or a list of them."""
-        if not (isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)):
-            return [value] * self.num_envs
-        if len(value) != self.num_envs:
-            raise InvalidInputError(
-                f"{name} must be one for all or {self.num_envs}, got {len(value)}"
-            )
-        return list(value)
 
     def _draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> _Episode:
         """Draw an episode; every option fixes one part and leaves the draws of the others alone."""
@@ -274,6 +272,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
                 f"got {scene.workspace.tolist()}"
             )
 
+    @np.errstate(under="ignore")
     def step(
         self, actions: Array
     ) -> tuple[dict[str, Any], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
