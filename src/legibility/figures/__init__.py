@@ -1,15 +1,18 @@
 """Figures and films: they draw and compute nothing else.
 
-Figures need none of matplotlib's backends, so one in `MPLBACKEND` that is not installed is ignored.
+They need none of matplotlib's backends. So a backend in MPLBACKEND that is not installed, such as a
+notebook sets for the shells that it opens, is ignored; matplotlib could not be imported with it.
 """
 
+import contextlib
 import os
+import sys
 
-try:
-    import matplotlib as _matplotlib
-except ValueError:
-    _backend = os.environ.pop("MPLBACKEND", "")
+if "matplotlib" not in sys.modules and (_backend := os.environ.pop("MPLBACKEND", None)):
     try:
-        import matplotlib as _matplotlib  # noqa: F401
+        import matplotlib as _matplotlib
+
+        with contextlib.suppress(ValueError):
+            _matplotlib.rcParams["backend"] = _backend
     finally:
         os.environ["MPLBACKEND"] = _backend
