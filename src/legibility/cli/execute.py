@@ -136,7 +136,7 @@ def _draw(rollouts: list[Rollout], pictures: Pictures) -> None:
 
 
 def _print(title: str, rollouts: list[Rollout]) -> None:
-    columns = ("asked ℓ", "planned ℓ", "executed ℓ", "time to confidence [s]", "steps",
+    columns = ("asked ℓ", "planned ℓ", "executed ℓ", "time to\nconfidence [s]", "steps",
                "deviation [mm]", "ended")  # fmt: skip
     rows, number = output.table(title, *columns), output.number
     for rollout in rollouts:
