@@ -140,11 +140,12 @@ def _print(title: str, rollouts: list[Rollout]) -> None:
                "deviation [mm]", "ended")  # fmt: skip
     rows, number = output.table(title, *columns), output.number
     for rollout in rollouts:
-        seconds, deviation = rollout.time_to_confidence, rollout.deviation.mean()
+        seconds, deviation = rollout.time_to_confidence, float(rollout.deviation.mean())
         rows.add_row(
-            *map(number, (rollout.legibility, rollout.path.achieved, rollout.achieved)),
+            number(rollout.legibility), number(float(rollout.path.achieved)),
+            number(rollout.achieved),
             number(seconds, 2) if np.isfinite(seconds) else "never",
             str(len(rollout.actions)), number(1e3 * deviation, 1), rollout.reason,
         )  # fmt: skip
-    error = np.mean([abs(rollout.achieved - rollout.legibility) for rollout in rollouts])
+    error = float(np.mean([abs(rollout.achieved - rollout.legibility) for rollout in rollouts]))
     output.show(rows, f"mean |executed − asked| {number(error)}")

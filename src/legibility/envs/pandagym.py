@@ -150,8 +150,9 @@ class _World:
     def place(self, position: Array) -> Array:
         """Put the arm at rest at `position (3,)` [m] from a fresh state; return where it is."""
         self.client.restoreState(self._fresh)
+        jacobian: Any = self._jacobian
         angles = least_squares(
-            self._error, HOME, self._jacobian, method="lm", xtol=1e-8, args=(position,)
+            self._error, HOME, jacobian, method="lm", xtol=1e-8, args=(position,)
         ).x
         self.set_joints(angles)
         self._hold(angles)

@@ -67,7 +67,9 @@ class BlockReach(gymnasium.Env[dict[str, Any], Array]):
         """A picture `(H, W, 3)`; in the mode `human` a window shows it instead."""
         if self.render_mode is None:
             return None
-        (image,) = self.batch.render() or ()
+        pictures = self.batch.render()
+        assert pictures
+        (image,) = pictures
         if self.render_mode == "rgb_array":
             return image
         if self._window is None:

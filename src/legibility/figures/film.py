@@ -25,7 +25,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from ..envs.colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
@@ -35,7 +35,7 @@ from ..rollout import Rollout
 from ..scene import Scene
 from .scene_axes import goal_colors
 from .style import DOTTED, figure_file, shared_style
-from .views import ArmView, DrawnView, View, add_artist, diamond
+from .views import ArmView, DrawnView, add_artist, diamond
 
 Picture = NDArray[np.uint8]
 
@@ -241,7 +241,9 @@ class _Stage:
 class _Motion:
     """One motion with the belief under it."""
 
-    def __init__(self, view: View, panel: Any, rollout: Rollout, colors: list[str]) -> None:
+    def __init__(
+        self, view: ArmView | DrawnView, panel: Any, rollout: Rollout, colors: list[str]
+    ) -> None:
         target = rollout.path.target
         self.view = view
         self.beliefs = rollout.posterior
@@ -315,7 +317,7 @@ class _Palette:
         self.colors = np.concatenate([np.array(exact, dtype=np.uint8), more])[:255]
         # The nearest colour of each bin of colours, by its middle.
         middles = np.indices((32, 64, 32)).reshape(3, -1).T * 255 / (31, 63, 31)
-        self.nearest = cKDTree(self.colors).query(middles)[1].astype(np.uint8)
+        self.nearest = KDTree(self.colors).query(middles)[1].astype(np.uint8)
         self.nearest[_bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
 
     def image(self, picture: Picture) -> Image.Image:

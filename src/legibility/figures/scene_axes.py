@@ -114,7 +114,8 @@ def flat(axes: Any, points: Array) -> Array:
     """Coordinates `(N, 2)` of `points (N, D)` [m] in the plane of the axes."""
     if points.shape[-1] == 2:
         return points
-    return np.stack(proj3d.proj_transform(*points.T, axes.get_proj())[:2], axis=-1)
+    x, y, z = points.T
+    return np.stack(proj3d.proj_transform(x, y, z, axes.get_proj())[:2], axis=-1)
 
 
 def name_ends(figure: Figure, axes: Any, scene: Scene, target: int, curves: Array) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -17,31 +17,13 @@ from ..rollout import Rollout
 from .scene_axes import flat, scene_axes
 from .style import DOTTED
 
-__all__ = ["ArmView", "DrawnView", "View", "add_artist", "diamond"]
+__all__ = ["ArmView", "DrawnView", "add_artist", "diamond"]
 
 _TUBE = 0.0035
 
 
-class View(Protocol):
-    """The scene with a motion in it."""
-
-    axes: Any
-    moving: list[Any]
-    """Artists that every frame of a film draws again."""
-
-    def show(self, step: int, tints: Array, confident: int | None) -> None:
-        """Draw the state after `step` control steps.
-
-        Args:
-            step: the number of control steps.
-            tints: `(step, 3)`, colours of the trail.
-            confident: the step from which the observer is confident, once it is reached.
-        """
-        ...
-
-
 class DrawnView:
-    """A point moves in a drawing of the scene."""
+    """A point moves in a drawing of the scene; `moving` are the artists that every frame draws."""
 
     def __init__(self, figure: Figure, cell: Any, rollout: Rollout) -> None:
         path = rollout.path
@@ -60,7 +42,13 @@ class DrawnView:
         self.moving = [*front, self.halo, self.trail, plan, self.spot, self.robot]
 
     def show(self, step: int, tints: Array, confident: int | None) -> None:
-        """See `View`."""
+        """Draw the state after `step` control steps.
+
+        Args:
+            step: the number of control steps.
+            tints: `(step, 3)`, colours of the trail.
+            confident: the step from which the observer is confident, once it is reached.
+        """
         seen = self.states[: step + 1]
         self.halo.set_data(*seen.T)
         self.trail.set_segments(np.stack([seen[:-1], seen[1:]], axis=1))
@@ -91,7 +79,7 @@ class ArmView:
         ]
 
     def show(self, step: int, tints: Array, confident: int | None) -> None:
-        """See `View`."""
+        """See `DrawnView`."""
         path, states = self.rollout.path, self.rollout.states
         pieces = zip(states[:step], states[1 : step + 1], tints, strict=True)
         trails = [Trail(np.stack([a, b]), (*tint, 1.0), _TUBE) for a, b, tint in pieces]
