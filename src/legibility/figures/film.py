@@ -317,7 +317,7 @@ class _Palette:
         self.colors = np.concatenate([np.array(exact, dtype=np.uint8), more])[:255]
         # The nearest colour of each bin of colours, by its middle.
         middles = np.indices((32, 64, 32)).reshape(3, -1).T * 255 / (31, 63, 31)
-        self.nearest = KDTree(self.colors).query(middles)[1].astype(np.uint8)
+        self.nearest: Picture = np.asarray(KDTree(self.colors).query(middles)[1], dtype=np.uint8)
         self.nearest[_bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
 
     def image(self, picture: Picture) -> Image.Image:
