@@ -175,8 +175,8 @@ def _ways() -> list[str]:
     if os.environ.get("MUJOCO_GL") or os.name != "posix":
         return ["mujoco"]
     libraries = (("mujoco.egl", "EGL"), ("mujoco.osmesa", "OSMesa"))
-    found = [module for module, library in libraries if ctypes.util.find_library(library)]
-    return [*found, "mujoco"]
+    windowless = [module for module, library in libraries if ctypes.util.find_library(library)]
+    return [*windowless, "mujoco"]
 
 
 class _Renderer:
