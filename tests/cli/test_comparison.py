@@ -104,7 +104,7 @@ def test_report(measured, cli, capsys):
         ("table1 --rollouts 1", "rollouts must be"),
         ("table1 --diffusion-policy none", "there are no weights 'none'"),
         ("table1 --diffusion-policy block-reach-2d", "has no goal-conditioned policy"),
-        ("table1 --model panda-block-reach", "what is asked 3-D"),
+        ("table1 --model panda-block-reach", "the model or scene 3-D"),
         ("unseen --scenes 1", "scenes must be"),
         ("unseen --goals 1..2", "goals must be"),
         ("spectrum --levels 2", "levels must be"),

@@ -121,7 +121,7 @@ class TestContest:
         execute = modulator.execute
 
         def spy(env, **options):
-            gains.append(env.gains.copy())
+            gains.append(env.hidden["gain"].copy())
             return execute(env, **options)
 
         monkeypatch.setattr(modulator, "execute", spy)

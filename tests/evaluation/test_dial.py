@@ -367,7 +367,7 @@ class TestClosedLoop:
 
         def measure(change=lambda states: states, success=True):
             def execute(env, *, legibility, seed, path):
-                seen.append((env.gains, env.scenes, env.targets))
+                seen.append((env.hidden["gain"].copy(), env.scenes, env.targets))
                 np.testing.assert_array_equal([p.legibility for p in path], legibility)
                 found = []
                 for one in path:

@@ -90,7 +90,7 @@ def data(
 
 
 def _draw(dataset: Dataset, figure: Path) -> None:
-    from ..figures.dial import archive_figure
+    from ..figures.archive import archive_figure
 
     config = dataset.config
     archive = config.source.archive(0, config.observer, config.cells)

@@ -29,7 +29,7 @@ from ..motion.path import Path
 from ..parallel import Each, threads
 from ..rollout import Rollout
 from ..scene import Scene
-from .statistics import CONFIDENT, holm, paired_test
+from .statistics import holm, paired_test
 
 __all__ = [
     "BASELINE",
@@ -130,7 +130,7 @@ def measured(states: Array, scene: Scene, archive: Archive, spacing: float) -> d
     """
     field, target = archive.field, archive.target
     points = spaced(states, spacing)
-    confident = float(time_to_confidence(field.posterior(states), target, CONFIDENT))
+    confident = float(time_to_confidence(field.posterior(states), target))
     straight = np.linalg.norm(scene.target(target) - scene.start)
     score = archive.observer.score(resample(states, SCORE_POINTS), scene, target)
     return {

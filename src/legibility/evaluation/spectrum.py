@@ -61,7 +61,7 @@ def evaluate_spectrum(
             env.close()
             progress(done + len(rollouts), total)
         done += len(each)
-        spectrum = Spectrum.of(rollouts, place.spacing)
+        spectrum = Spectrum.of(rollouts)
         means = spectrum.costs.mean(axis=1)
         achieved = np.reshape([r.achieved for r in rollouts], spectrum.costs.shape)
         targets[letter] = {
@@ -107,8 +107,8 @@ class Spectrum:
     angles: Array
 
     @classmethod
-    def of(cls, rollouts: Sequence[Rollout], spacing: float) -> Spectrum:
-        """Of motions in one scene; L_p is of points `spacing` [m] apart.
+    def of(cls, rollouts: Sequence[Rollout]) -> Spectrum:
+        """Of motions in one scene; L_p is of points as far apart as in Table I.
 
         Raises:
             InvalidInputError: there are none, or not as many of each level.
@@ -122,6 +122,7 @@ class Spectrum:
             raise InvalidInputError(
                 f"a spectrum needs as many motions of each level, got {counts.tolist()}"
             )
+        spacing = SCENES[path.scene.dim].spacing
         costs = [
             potential_cost(spaced(r.states, spacing), path.field, path.target) for r in rollouts
         ]

@@ -8,21 +8,15 @@ from typing import Any
 import numpy as np
 
 from ..checks import Array
-from ..intent.belief import time_to_confidence
 
 __all__ = [
-    "CONFIDENT",
     "bootstrap_interval",
-    "clear_step",
     "holm",
     "paired_test",
     "rank_correlation",
     "share_interval",
     "summary",
 ]
-
-CONFIDENT = 0.8
-"""From this P(target) on, held for good, the intent is clear."""
 
 
 def bootstrap_interval(
@@ -44,12 +38,6 @@ def bootstrap_interval(
         rng=np.random.default_rng(0),
     ).confidence_interval
     return float(interval.low), float(interval.high)
-
-
-def clear_step(posterior: Array, target: int) -> int | None:
-    """From which state of `posterior (T, G)` on the intent is clear; None if it never is."""
-    share = float(time_to_confidence(posterior, target, CONFIDENT))
-    return round(share * (len(posterior) - 1)) if np.isfinite(share) else None
 
 
 def paired_test(first: Array, second: Array) -> dict[str, float | list[float]]:
