@@ -36,8 +36,8 @@ def drawn(request, monkeypatch):
     panda_render._looks.cache_clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = panda_render._renderer()
-    if found is None:
+        renderer = panda_render._renderer()
+    if renderer is None:
         pytest.skip("pictures by OpenGL are NOT TESTED: neither EGL nor OSMesa works here")
     yield
     panda_render._looks.cache_clear()
@@ -110,15 +110,22 @@ def test_meshes_are_split_by_material():
         "usemtl dark", "f 4//1 1//1 2//1",
     ))  # fmt: skip
     parts = panda_meshes._split(text)
-    assert parts["white"].count("\nf ") == 2  # a square is two triangles
-    assert parts["dark"].splitlines()[-1] == "f 1//1 2//1 3//1"
-    assert "v 1 1 0" not in parts["dark"]
+    triangles = {
+        name: part["uservert"].reshape(-1, 3)[part["userface"]].reshape(-1, 3, 3).tolist()
+        for name, part in parts.items()
+    }
+    o, x, xy, y = [0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]
+    assert triangles == {"white": [[o, x, xy], [o, xy, y]], "dark": [[y, o, x]]}
+    for part in parts.values():
+        assert part["userfacenormal"].tolist() == part["userface"].tolist()
+        assert (part["usernormal"].reshape(-1, 3) == [0, 0, 1]).all()
+    assert len(parts["dark"]["uservert"]) == 9  # without the vertex of the other
 
 
 def test_franka_meshes_load():
     pytest.importorskip("pybullet_data", reason="Franka's meshes are NOT TESTED: no pybullet_data")
     parts = panda_meshes.franka_meshes()
-    assert {link for _, link, _, _ in parts} == {*(f"link{i}" for i in range(8)), "hand", "finger"}
+    assert {link for link, _, _ in parts} == {*(f"link{i}" for i in range(8)), "hand", "finger"}
     panda_render._looks.cache_clear()
     model = panda_render._looks()
     assert model.nmesh == len(parts)
