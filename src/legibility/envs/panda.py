@@ -139,42 +139,27 @@ class PandaBlockReach(BlockReach):
     observed. A control step realises 0.63 to 0.88 of a steady command, least of the largest.
 
     ## Observation Space
-    A `Dict`:
-
-    * `position`: `Box((3,))` [m], the grasp point.
-    * `goals`: `Box((6, 3))` [m], the blocks' centres; rows beyond their number are 0.
-    * `present`: `MultiBinary(6)`, which rows are blocks.
-    * `target`: `Discrete(6)`, index of the intended block.
+    That of `BlockReach2D` in 3-D: `position` is the grasp point, `goals` are the blocks' centres.
 
     ## Rewards
     Minus the distance to the target [m].
 
     ## Starting State
-    A scene of `Scene.random`: 2 to 6 blocks on the table or stacked up to z = 0.16, the start
-    anywhere, all at least 0.12 of the diagonal apart. The arm is at rest, elbow up, in a posture
-    that depends on the start alone.
+    As in `BlockReach2D`, with blocks on the table or stacked up to z = 0.16. The arm is at rest,
+    elbow up, in a posture that depends on the start alone.
 
     ## Episode End
-    * Termination: success. The grasp point is within 0.02 m of the target's centre and moved by at
-      most 0.004 m in this step, so it is at rest or passes slowly (0.1 m/s). The step of a push or
-      a shift does not count.
-    * Truncation: 400 steps.
+    As in `BlockReach2D`: within 0.02 m of the target's centre after a step of at most 0.004 m
+    (0.1 m/s), or after 400 steps.
 
-    `info` has `is_success`, `distance` [m], `speed` [m/s], `wall_contact` (the command would have
-    left the workspace and was clipped at its wall), `disturbed` (a push or a shift in this step),
-    and the number of physics steps of the episode with each of these: `table_contacts`,
-    `self_collisions`, `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
+    `info` has the entries of `BlockReach2D` (`wall_contact`: the command was clipped at a wall) and
+    the number of physics steps of the episode with each of `table_contacts`, `self_collisions`,
+    `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
 
     ## Arguments
-    `reset(seed=…, options={…})` takes
+    `reset(seed=…, options={…})` takes `scene`, `target`, `num_goals`, `noise`, `push` (the arm is
+    placed at rest) and `shift` of `BlockReach2D`, and
 
-    * `scene`: a `Scene` in the default workspace; drawn by default.
-    * `target`: index of the intended goal; 0 by default.
-    * `num_goals`: of a scene that is drawn; 2 to 6 by default.
-    * `noise`: standard deviation [m] of each step's displacement; 0 by default.
-    * `push`: once half the straight line's length is travelled, the arm is placed at rest this
-      distance [m] away in a random direction, at most at the wall; 0 by default.
-    * `shift`: the same for the target block, which stays if another block is in its new place.
     * `response`, `delay`: τ [s] and the delay [s]; drawn by default.
 
     ## Version History
