@@ -39,10 +39,7 @@ def archive_figure(
         trajectories: `(N, T, D)` [m].
         labels: `(N,)`.
         all_labels: labels of the whole dataset, any shape.
-        file: .png, .pdf or .svg.
-
-    Raises:
-        OutputError: another suffix, or the file cannot be written.
+        file: see `figure_file`.
     """
     num = len(labels)
     order = np.random.default_rng(0).permutation(num)  # so that no level hides the others

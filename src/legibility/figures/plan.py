@@ -37,10 +37,7 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
 
     Args:
         path: one path or a batch.
-        file: .png, .pdf or .svg.
-
-    Raises:
-        OutputError: another suffix, or the file cannot be written.
+        file: see `figure_file`.
     """
     scene, target = path.scene, path.target
     levels, achieved = np.atleast_1d(path.legibility), np.atleast_1d(path.achieved)
