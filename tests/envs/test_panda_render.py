@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from legibility import Scene
-from legibility.envs import panda_meshes, panda_render
+from legibility.envs import panda_render
 from legibility.envs.arm import HOME
 from legibility.envs.panda_render import Camera, arm_image
 from legibility.errors import InvalidInputError
@@ -32,7 +32,7 @@ def drawn(request, monkeypatch):
         panda_render._LOCAL.renderer = None
         yield
         return
-    monkeypatch.setattr(panda_render, "franka_meshes", list)
+    monkeypatch.setattr(panda_render, "_franka_meshes", list)
     panda_render._looks.cache_clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -63,7 +63,7 @@ def test_a_scene(drawn):
 def test_both_see_the_same(monkeypatch):
     """Blocks lie in the same place of the picture with OpenGL and without."""
     monkeypatch.setattr(panda_render, "_LOCAL", type(panda_render._LOCAL)())
-    monkeypatch.setattr(panda_render, "franka_meshes", list)
+    monkeypatch.setattr(panda_render, "_franka_meshes", list)
     panda_render._looks.cache_clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -109,7 +109,7 @@ def test_meshes_are_split_by_material():
         "usemtl white", "f 1/1/1 2/1/1 3/1/1 4/1/1",
         "usemtl dark", "f 4//1 1//1 2//1",
     ))  # fmt: skip
-    parts = panda_meshes._split(text)
+    parts = panda_render._split(text)
     triangles = {
         name: part["uservert"].reshape(-1, 3)[part["userface"]].reshape(-1, 3, 3).tolist()
         for name, part in parts.items()
@@ -124,7 +124,7 @@ def test_meshes_are_split_by_material():
 
 def test_franka_meshes_load():
     pytest.importorskip("pybullet_data", reason="Franka's meshes are NOT TESTED: no pybullet_data")
-    parts = panda_meshes.franka_meshes()
+    parts = panda_render._franka_meshes()
     assert {link for link, _, _ in parts} == {*(f"link{i}" for i in range(8)), "hand", "finger"}
     panda_render._looks.cache_clear()
     model = panda_render._looks()
