@@ -72,10 +72,8 @@ class PandaBlockReachVector(ArmVector):
         """The joints' reference in the segment that begins with physics step `first`.
 
         It follows the old command until the delay is over, then the new one, `wanted (N, 7)`
-        [rad]. It waits for joints that cannot keep up: a large lead would pull them too fast.
-
-        Returns:
-            `(N, segment + 1, 7)` [rad]; the last row is the state at the end of the segment.
+        [rad]. It waits for joints that cannot keep up: a large lead would pull them too fast. Of
+        `(N, segment + 1, 7)` [rad] the last row is the state at the end of the segment.
         """
         period = 1 / self.metadata["render_fps"] / self.substeps
         time = np.arange(_SEGMENT + 1) * period
@@ -96,16 +94,10 @@ class PandaBlockReachVector(ArmVector):
 
 
 def _approach(start: Array, goal: Array, response: Array, time: Array) -> Array:
-    """Joint angles on the way from `start` to `goal`, `(N, T, 7)` [rad].
+    """Joint angles `(N, T, 7)` [rad] on the way from `start` to `goal (N, 7)` at `time (N, T)` [s].
 
-    A first-order system `x' = (goal − x) / τ`; all joints slow down alike for the one that would
-    be too fast.
-
-    Args:
-        start: `(N, 7)` [rad], angles at time 0.
-        goal: `(N, 7)` [rad].
-        response: `(N, 1)` [s], τ.
-        time: `(N, T)` [s].
+    A first-order system `x' = (goal − x) / τ` with τ = `response (N, 1)` [s]; all joints slow down
+    alike for the one that would be too fast.
     """
     fastest = np.abs(goal - start) / (_SPEED_SHARE * VELOCITY_LIMITS * response)
     excess = np.maximum(fastest.max(axis=1, keepdims=True), 1)

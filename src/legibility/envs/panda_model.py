@@ -152,16 +152,10 @@ class Simulation:
         return Simulation, ()
 
     def run(self, angles: Array, speeds: Array, controls: Array) -> tuple[Array, Array, Array]:
-        """Simulate `T` physics steps.
+        """Simulate `T` steps from `angles` [rad] and `speeds` [rad/s], `(B, 7)` each.
 
-        Args:
-            angles: `(B, 7)` [rad].
-            speeds: `(B, 7)` [rad/s].
-            controls: `(B, T, 7)` [rad], the motors' goal in each step.
-
-        Returns:
-            Angles and speeds after each step `(B, T, 7)`, and whether the arm touched the
-            table and itself when the step began, `(B, T, 2)` bool.
+        The motors' goals are `controls (B, T, 7)` [rad]. Return angles and speeds after each step
+        `(B, T, 7)`, and whether the arm touched the table and itself as the step began, `(B, T, 2)`.
         """
         start = np.zeros((len(angles), self._size))
         start[:, 1:8], start[:, 8:15] = angles, speeds

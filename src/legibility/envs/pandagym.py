@@ -158,12 +158,10 @@ class _World:
         return self._position()
 
     def drive(self, target: Array, substeps: int) -> tuple[Array, list[int]]:
-        """Move toward `target (3,)` [m] for one control step.
+        """Move toward `target (3,)` [m] for one control step; return the position reached.
 
-        Returns:
-            The position reached `(3,)` [m], and the number of physics steps with a table contact, a
-            self-collision (checked at the end of the control step only), a joint beyond its limits
-            and a joint too fast.
+        Also return the number of physics steps with each event of `counted`; a self-collision is
+        checked at the end of the control step only.
         """
         client, body, table = self.client, self.body, self.table
         angles = self.joints()
