@@ -155,7 +155,7 @@ class Simulation:
         """Simulate `T` steps from `angles` [rad] and `speeds` [rad/s], `(B, 7)` each.
 
         The motors' goals are `controls (B, T, 7)` [rad]. Return angles and speeds after each step
-        `(B, T, 7)`, and whether the arm touched the table and itself as the step began, `(B, T, 2)`.
+        `(B, T, 7)`, and whether the arm touched the table and itself before it, `(B, T, 2)`.
         """
         start = np.zeros((len(angles), self._size))
         start[:, 1:8], start[:, 8:15] = angles, speeds
