@@ -81,12 +81,11 @@ def test_both_see_the_same(monkeypatch):
 
 
 def test_without_opengl_it_says_so_once(monkeypatch):
-    class Failing:
-        def GLContext(self, width, height):
-            raise RuntimeError("no display")
+    def fail(way):
+        raise RuntimeError("no display")
 
     monkeypatch.setattr(panda_render, "_LOCAL", type(panda_render._LOCAL)())
-    monkeypatch.setattr(panda_render.importlib, "import_module", lambda name: Failing())
+    monkeypatch.setattr(panda_render, "_Renderer", fail)
     with pytest.warns(UserWarning, match=r"no display.* only sketched; apt-get install libegl1"):
         arm_image(SCENE, 0, HOME)
     with warnings.catch_warnings():
