@@ -1,7 +1,8 @@
 """Belief over time: Dragan's observer, and metrics of any observer's posterior.
 
-A posterior is P(g) over time, `(..., T, G)`, its T times equally spaced; it comes from
-`InformationPotentialField.posterior` or from `dragan_posterior`. Progress t runs from 0 to 1.
+A `posterior` is P(g) over time, `(..., T, G)`, at T equally spaced times; it comes from
+`InformationPotentialField.posterior` or `dragan_posterior`. Progress t runs from 0 to 1. A
+`trajectory` is `(..., T, D)` [m], `goals` are `(G, D)` [m] with G ≥ 2, `target` is a goal's index.
 """
 
 from __future__ import annotations
@@ -24,28 +25,13 @@ from ..checks import (
 from ..curves import arc_length
 from ..errors import InvalidInputError
 
-__all__ = [
-    "CONFIDENCE",
-    "COSTS",
-    "DEFAULT_BETA",
-    "Cost",
-    "dragan_legibility",
-    "dragan_posterior",
-    "earliest_correct_guess",
-    "early_intent",
-    "posterior_entropy",
-    "posterior_legibility",
-    "time_to_confidence",
-    "trajectory_cost",
-]
-
 Cost = Literal["length", "squared_velocity"]
 
 COSTS: tuple[Cost, ...] = ("length", "squared_velocity")
 """Costs that Dragan's observer assumes the robot minimises."""
 
 CONFIDENCE = 0.8
-"""Belief in the target from which on the observer is confident."""
+"""Least belief in the target of a confident observer."""
 
 DEFAULT_BETA = 10.0
 """Rationality β [1/m]: with `length`, 0.1 m of detour makes a goal e times less likely."""
@@ -83,16 +69,16 @@ def dragan_posterior(
     best motion, the straight one:
 
     * `length`: `C*(Q→g) = ‖g − Q‖` [m].
-    * `squared_velocity`: a constant velocity over the time that is left, `C*(Q→g) = ‖g − Q‖² / 2τ`
-      [m²/s]. The observer knows the duration, (T − 1) Δt from S, so τ = (T − 1 − i) Δt at point i,
-      and one step at the last point.
+    * `squared_velocity`: a constant velocity over the time left, `C*(Q→g) = ‖g − Q‖² / 2τ` [m²/s].
+      The observer knows the duration, (T − 1) Δt from S, so τ = (T − 1 − i) Δt at point i, and Δt
+      at the last point.
 
     Args:
-        trajectory: `(..., T, D)` [m], points at equal time steps.
-        goals: `(G, D)` [m], G ≥ 2.
+        trajectory: points at equal time steps.
+        goals: the observer's hypotheses.
         beta: rationality β, in units of 1 / cost.
-        prior: `(G,)` P(g) before any motion; uniform if not given. It is also the posterior at S.
-        cost: `length` or `squared_velocity`.
+        prior: `(G,)` P(g) before any motion, and so the posterior at S; uniform if not given.
+        cost: see `trajectory_cost`.
         time_step: Δt [s], for `squared_velocity`.
     """
     goals = goals_array(goals)
@@ -136,7 +122,7 @@ def posterior_legibility(posterior: ArrayLike, target: int) -> Array:
 
 
 def time_to_confidence(posterior: ArrayLike, target: int, threshold: float = CONFIDENCE) -> Array:
-    """First progress t from which on `P(g*) ≥ threshold` for good, `(...)`; lower = better.
+    """First progress t after which `P(g*)` stays ≥ threshold, `(...)`; lower = better.
 
     In [0, 1], one of the T times; `inf` if the last belief is below the threshold.
     """
@@ -144,7 +130,6 @@ def time_to_confidence(posterior: ArrayLike, target: int, threshold: float = CON
     return _first(np.logical_and.accumulate(held[..., ::-1], axis=-1)[..., ::-1])
 
 
-@np.errstate(under="ignore")
 def earliest_correct_guess(posterior: ArrayLike, target: int, margin: float = 0.0) -> Array:
     """First progress t at which `P(g*) > P(g) + margin` for every other g, `(...)`; lower = better.
 

@@ -1,6 +1,11 @@
 """Metrics of a trajectory: scores, costs and times, each with its source.
 
-Trajectories are `(..., T, D)` [m]; every function is vectorised over the leading axes.
+Every function is vectorised over leading axes and takes these arguments:
+
+* `trajectory`: `(..., T, D)` [m];
+* `field`: the observer's `InformationPotentialField`;
+* `goals`: `(G, D)` [m];
+* `target`: index of the intended goal.
 """
 
 from __future__ import annotations
@@ -10,14 +15,7 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import (
-    Array,
-    bounded,
-    finite_array,
-    goals_array,
-    target_index,
-    trajectory_array,
-)
+from ..checks import Array, bounded, finite_array, goals_array, target_index, trajectory_array
 from ..curves import arc_length, resample
 from ..errors import InvalidInputError
 from .belief import (
@@ -91,18 +89,12 @@ def legibility_score(
     """`L_p(ξ) = −Σ_t f(t) φ(x_t|g*)`, `f(t) = exp(−α t)` (paper, eq. 4), `(...)`; higher = better.
 
     The trajectory is resampled to `SCORE_POINTS` points at equal arc length, t is progress in
-    [0, 1] and f sums to 1, so that the score depends on the curve alone.
-
-    Args:
-        trajectory: `(..., T, D)` [m].
-        field: the observer.
-        target: index of the intended goal.
-        alpha: decay α; 0 weighs all points alike.
+    [0, 1] and f sums to 1, so that the score depends on the curve alone; α = 0 weighs all points
+    alike.
     """
     points = resample(trajectory_array(trajectory, field.dim), SCORE_POINTS)
-    return -field.potential(points, target) @ score_weights(
-        SCORE_POINTS, bounded("alpha", alpha, 0)
-    )
+    weights = score_weights(SCORE_POINTS, bounded("alpha", alpha, 0))
+    return -field.potential(points, target) @ weights
 
 
 @np.errstate(under="ignore")
@@ -111,11 +103,6 @@ def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, targ
 
     The cost of the paper's Table I: eq. 4 with `f(t) = 1/t` and without its sign. t is 1 at the
     start, so the value depends on the spacing of the points; compare equal spacings only.
-
-    Args:
-        trajectory: `(..., T, D)` [m].
-        field: the observer.
-        target: index of the intended goal.
     """
     potential = field.potential(trajectory_array(trajectory, field.dim), target)
     return potential @ _harmonic_weights(potential.shape[-1])
@@ -127,18 +114,12 @@ def distance_score(
 ) -> Array:
     """`L_d = Σ_t ‖g⁻ − x_t‖ / t`, t = 1 … T over the points as given, `(...)`; higher = better.
 
-    The score of the paper's Table I, whose figures come from the plain norm (its equation squares
-    it). With several distractors g⁻ is the nearest at each t. t is 1 at the start, so the value
-    depends on the spacing of the points; compare equal spacings only.
-
-    Args:
-        trajectory: `(..., T, D)` [m].
-        goals: `(G, D)` [m].
-        target: index of the intended goal.
-        squared: sum `‖g⁻ − x_t‖²` [m²], as the equation has it.
+    The score of the paper's Table I (eq. 5), whose numbers come from the plain norm; the equation
+    squares it [m²], as `squared` does. With several distractors g⁻ is the nearest at each t. t is 1
+    at the start, so the value depends on the spacing of the points; compare equal spacings only.
     """
-    points, goals, target = _checked(trajectory, goals, target)
-    nearest = _distances(points, np.delete(goals, target, axis=0)).min(-1)
+    points, _, distractors = _checked(trajectory, goals, target)
+    nearest = _distances(points, distractors).min(-1)
     return (nearest**2 if squared else nearest) @ _harmonic_weights(nearest.shape[-1])
 
 
@@ -148,17 +129,11 @@ def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
 
     `distance_score` without a unit (Style-Conditioned Diffusion Policy, 2026). With several
     distractors the one with the smallest ratio counts at each t.
-
-    Args:
-        trajectory: `(..., T, D)` [m].
-        goals: `(G, D)` [m], none at the target.
-        target: index of the intended goal.
     """
-    points, goals, target = _checked(trajectory, goals, target)
-    distractors = np.delete(goals, target, axis=0)
-    apart = np.linalg.norm(distractors - goals[target], axis=-1)
+    points, goal, distractors = _checked(trajectory, goals, target)
+    apart = np.linalg.norm(distractors - goal, axis=-1)
     if (apart == 0).any():
-        raise InvalidInputError(f"goals must not coincide, got {goals[target].tolist()} twice")
+        raise InvalidInputError(f"goals must not coincide, got {goal.tolist()} twice")
     smallest = (_distances(points, distractors) / apart).min(-1)
     return smallest @ _harmonic_weights(smallest.shape[-1])
 
@@ -169,9 +144,6 @@ def predictability(trajectory: ArrayLike) -> Array:
 
     1 for a straight line and for a trajectory at rest, 0 for one that ends where it began. Also
     called efficiency (Style-Conditioned Diffusion Policy, 2026).
-
-    Args:
-        trajectory: `(..., T, D)` [m].
     """
     points = trajectory_array(trajectory)
     straight = np.linalg.norm(points[..., -1, :] - points[..., 0, :], axis=-1)
@@ -184,10 +156,8 @@ def predictability(trajectory: ArrayLike) -> Array:
 def regularised_legibility(legibility: ArrayLike, cost: ArrayLike, weight: float) -> Array:
     """`L(ξ) − λ C(ξ)` (Dragan and Srinivasa, RSS 2013), `(...)`; higher = better.
 
-    Args:
-        legibility: `(...)` of any kind, higher = better.
-        cost: `(...)`, see `trajectory_cost`.
-        weight: λ ≥ 0, in units of 1 / cost.
+    `legibility (...)` is any metric of which higher is better, `cost (...)` see `trajectory_cost`,
+    `weight` λ ≥ 0 is in units of 1 / cost.
     """
     legibility, cost = _same_shape(legibility, cost)
     return legibility - bounded("weight", weight, 0) * cost
@@ -196,12 +166,7 @@ def regularised_legibility(legibility: ArrayLike, cost: ArrayLike, weight: float
 def budgeted_legibility(legibility: ArrayLike, cost: ArrayLike, budget: float) -> Array:
     """`L(ξ)` where `C(ξ) ≤ budget`, −inf elsewhere, `(...)`; higher = better.
 
-    The trust region of Dragan and Srinivasa (RSS 2013).
-
-    Args:
-        legibility: `(...)` of any kind, higher = better.
-        cost: `(...)`, see `trajectory_cost`.
-        budget: largest cost that is allowed, in the cost's unit.
+    The trust region of Dragan and Srinivasa (RSS 2013); arguments as in `regularised_legibility`.
     """
     legibility, cost = _same_shape(legibility, cost)
     return np.where(cost <= bounded("budget", budget, 0), legibility, -np.inf)
@@ -217,17 +182,9 @@ def evaluate_trajectory(
 ) -> dict[str, Array]:
     """Every metric of one or many trajectories by its name, each `(...)`.
 
-    Metrics of a posterior come twice, `field_…` for the information potential field and `dragan_…`
-    for Dragan's observer with path length as the cost and the same prior. All but
-    `legibility_score` take the points to be at equal time steps. A time that is never reached is
-    `inf`.
-
-    Args:
-        trajectory: `(..., T, D)` [m].
-        field: the observer; its goals and prior are also those of Dragan's.
-        target: index of the intended goal.
-        alpha: decay α of `legibility_score`.
-        beta: rationality β [1/m] of Dragan's observer.
+    Metrics of a posterior come twice: `field_…` for the field, and `dragan_…` for Dragan's observer
+    with rationality `beta` [1/m], path length as the cost, and the field's goals and prior. All but
+    `legibility_score` take the points to be at equal time steps. A time never reached is `inf`.
     """
     points = trajectory_array(trajectory, field.dim)
     result = {
@@ -257,9 +214,12 @@ def _harmonic_weights(num_points: int) -> Array:
     return 1 / np.arange(1, num_points + 1)
 
 
-def _checked(trajectory: ArrayLike, goals: ArrayLike, target: int) -> tuple[Array, Array, int]:
+def _checked(trajectory: ArrayLike, goals: ArrayLike, target: int) -> tuple[Array, Array, Array]:
+    """Points `(..., T, D)`, the intended goal `(D,)` and the distractors `(G − 1, D)`."""
     goals = goals_array(goals)
-    return trajectory_array(trajectory, goals.shape[-1]), goals, target_index(target, len(goals))
+    points = trajectory_array(trajectory, goals.shape[-1])
+    index = target_index(target, len(goals))
+    return points, goals[index], np.delete(goals, index, axis=0)
 
 
 def _distances(points: Array, goals: Array) -> Array:
