@@ -107,11 +107,9 @@ def spline_matrix(num_knots: int, num_points: int) -> Array:
     # there, and the third at the first and last inner knot.
     system = 4 * values + np.eye(num_knots, k=1) + np.eye(num_knots, k=-1)
     system[0, :2], system[-1, -2:] = (1, 2), (2, 1)
-    wanted = np.concatenate([
-        (5 * slopes[:1] + slopes[1:2]) / 2,
-        3 * (slopes[:-1] + slopes[1:]),
-        (5 * slopes[-1:] + slopes[-2:-1]) / 2,
-    ])  # fmt: skip
+    wanted = np.empty_like(values)
+    wanted[1:-1] = 3 * (slopes[:-1] + slopes[1:])
+    wanted[0], wanted[-1] = (5 * slopes[0] + slopes[1]) / 2, (5 * slopes[-1] + slopes[-2]) / 2
     derivatives = np.linalg.solve(system, wanted)
     places = np.linspace(0, num_knots - 1, num_points)
     left = np.minimum(places.astype(np.intp), num_knots - 2)

@@ -116,8 +116,7 @@ def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, targ
     The cost of the paper's Table I: eq. 4 with `f(t) = 1/t` and without its sign. t is 1 at the
     start, so the value depends on the spacing of the points; compare equal spacings only.
     """
-    potential = field.potential(trajectory_array(trajectory, field.dim), target)
-    return potential @ _harmonic_weights(potential.shape[-1])
+    return _over_time(field.potential(trajectory_array(trajectory, field.dim), target))
 
 
 @np.errstate(under="ignore")
@@ -132,7 +131,7 @@ def distance_score(
     """
     points, _, distractors = _checked(trajectory, goals, target)
     nearest = _distances(points, distractors).min(-1)
-    return (nearest**2 if squared else nearest) @ _harmonic_weights(nearest.shape[-1])
+    return _over_time(nearest**2 if squared else nearest)
 
 
 @np.errstate(under="ignore")
@@ -146,8 +145,7 @@ def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
     apart = np.linalg.norm(distractors - goal, axis=-1)
     if (apart == 0).any():
         raise InvalidInputError(f"goals must not coincide, got {goal.tolist()} twice")
-    smallest = (_distances(points, distractors) / apart).min(-1)
-    return smallest @ _harmonic_weights(smallest.shape[-1])
+    return _over_time((_distances(points, distractors) / apart).min(-1))
 
 
 @np.errstate(under="ignore")
@@ -341,8 +339,9 @@ def evaluate_trajectory(
     return {name: np.asarray(value) for name, value in result.items()}
 
 
-def _harmonic_weights(num_points: int) -> Array:
-    return 1 / np.arange(1, num_points + 1)
+def _over_time(values: Array) -> Array:
+    """`Σ_t values_t / t`, t = 1 … T, over the last axis."""
+    return values @ (1 / np.arange(1, values.shape[-1] + 1))
 
 
 def _checked(trajectory: ArrayLike, goals: ArrayLike, target: int) -> tuple[Array, Array, Array]:
