@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from segments import distance_to_segment
 
 import legibility as lg
-from legibility.curves import arc_length, distance_to_segment, farthest_from_segment
+from legibility.curves import arc_length, farthest_from_segment
 from legibility.errors import InvalidInputError
 from legibility.intent.metrics import DEFAULT_ALPHA, SCORE_POINTS
 from legibility.motion.archive import DEFAULT_CELLS, Archive, CurveGrid, build_archive
