@@ -12,19 +12,9 @@ from ..intent.metrics import DEFAULT_ALPHA, DEFAULT_BETA
 from .options import OptionalFloat, OutputFile, SceneFile
 from .output import check_file, note, number, show, significant, table, write_report
 
-_BETTER = {
-    "legibility_score": "higher",
-    "potential_cost": "lower",
-    "distance_score": "higher",
-    "detachment": "higher",
-    "predictability": "higher",
-    "length": "lower",
-    "legibility": "higher",
-    "time_to_confidence": "lower",
-    "earliest_correct_guess": "lower",
-    "early_intent": "higher",
-    "mean_entropy": "lower",
-}
+_LOWER_IS_BETTER = (
+    "potential_cost", "length", "time_to_confidence", "earliest_correct_guess", "mean_entropy"
+)  # fmt: skip
 _MOST_COLUMNS = 6
 
 
@@ -65,51 +55,44 @@ def score(
 
     check_file(json, "JSON file")
     place = Scene.load(scene)
-    goal = place.goals[target_index(target, place.num_goals)]
+    target_index(target, place.num_goals)
     observer = Observer(sigma, alpha, label).resolved(place.dim)
     field = observer.field(place)
     curves = read_trajectories(trajectories, place)
-    rated = {
-        name: {k: float(v) for k, v in evaluate_trajectory(c, field, target, alpha, beta).items()}
-        for name, c in curves.items()
-    }
     archive = build_archive(place, target, observer=observer)
-    for name, figures in rated.items():
-        achieved = float(archive.label_of(figures["legibility_score"]))
-        gaps = np.linalg.norm(curves[name][[0, -1]] - [place.start, goal], axis=-1)
-        rated[name] = {"achieved_label": achieved, **figures,
-                       "start_gap": float(gaps[0]), "target_gap": float(gaps[1])}  # fmt: skip
+    rated: dict[str, dict[str, float]] = {}
+    for name, curve in curves.items():
+        metrics = evaluate_trajectory(curve, field, target, alpha, beta)
+        achieved = archive.label_of(metrics["legibility_score"])
+        rated[name] = {k: float(v) for k, v in {"achieved_label": achieved, **metrics}.items()}
 
-    config = {"target": target, "observer": observer.to_dict(), "beta": beta}
-    result = {
-        "scene": place.to_dict(),
-        "trajectories": [
-            {"name": name, "points": len(curves[name]), **figures}
-            for name, figures in rated.items()
-        ],
+    ends = np.stack([place.start, place.goals[target]])
+    gaps = {
+        name: np.linalg.norm(curve[[0, -1]] - ends, axis=-1).tolist()
+        for name, curve in curves.items()
     }
+    rows = [
+        {"name": name, "points": len(curves[name]), **metrics,
+         "start_gap": gaps[name][0], "target_gap": gaps[name][1]}
+        for name, metrics in rated.items()
+    ]  # fmt: skip
+    config = {"target": target, "observer": observer.to_dict(), "beta": beta}
+    result = {"scene": place.to_dict(), "trajectories": rows}
     write_report(json, seed=0, config=config, result=result)
 
-    names = [n for n in next(iter(rated.values())) if not n.endswith("_gap")]
-    values = {n: np.array([figures[n] for figures in rated.values()]) for n in names}
     summary = len(rated) > _MOST_COLUMNS
     heads = ("mean", "lowest", "highest") if summary else tuple(rated)
-    rows = table(
-        f"{trajectories} in {scene}, goal {target}", "metric", "better", *heads, text_columns=2
-    )
-    for name in names:
-        row = values[name]
-        shown = (row.mean(), row.min(), row.max()) if summary else row
-        rows.add_row(name, _better(name), *map(significant, shown))
-    show(rows)
-    for name, figures in rated.items():
-        for end in ("start", "target"):
-            if figures[f"{end}_gap"] > 0.01 * place.diagonal:
-                side = "starts" if end == "start" else "ends"
-                gap = number(figures[f"{end}_gap"])
-                note(f"trajectory {name} {side} {gap} m from the {end}, so its label means little")
-
-
-def _better(metric: str) -> str:
-    """Which way a metric is better; those of either observer share a name after the first `_`."""
-    return _BETTER.get(metric) or _BETTER.get(metric.partition("_")[2], "")
+    title = f"{trajectories} in {scene}, goal {target}"
+    shown = table(title, "metric", "better", *heads, text_columns=2)
+    for metric in next(iter(rated.values())):
+        values = np.array([metrics[metric] for metrics in rated.values()])
+        cells = (values.mean(), values.min(), values.max()) if summary else values
+        better = "lower" if metric.endswith(_LOWER_IS_BETTER) else "higher"
+        better = "" if metric == "achieved_label" else better
+        shown.add_row(metric, better, *map(significant, cells))
+    show(shown)
+    for name, (start_gap, target_gap) in gaps.items():
+        for gap, verb, end in (start_gap, "starts", "start"), (target_gap, "ends", "target"):
+            if gap > 0.01 * place.diagonal:
+                problem = f"{verb} {number(gap)} m from the {end}, so its label means little"
+                note(f"trajectory {name} {problem}")
