@@ -76,8 +76,8 @@ def doctor(json: OutputFile = None) -> None:
     result = {"works": not broken, "parts": [part._asdict() for part in parts]}
     write_report(json, seed=None, config={}, result=result)
     show(table)
-    if broken:
-        raise LegibilityError(f"{broken[0].part} {broken[0].name} broken: {broken[0].remedy}")
+    for part, name, _, problem in broken:
+        raise LegibilityError(f"the core does not work: {part} {name}: {problem}")
     show("the core works")
 
 

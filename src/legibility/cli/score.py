@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..intent.metrics import DEFAULT_ALPHA, DEFAULT_BETA
-from .options import OptionalFloat, OutputFile, SceneFile
+from ..intent.metrics import DEFAULT_BETA
+from ..intent.observer import Observer
+from .options import OutputFile, SceneFile, flags, made
 from .output import check_file, note, number, show, significant, table, write_report
 
 _LOWER_IS_BETTER = (
@@ -21,34 +22,29 @@ _MOST_COLUMNS = 6
 def score(
     trajectories: Annotated[Positional[Path], arg(metavar="TRAJECTORIES", help_behavior_hint="")],
     scene: SceneFile,
+    observer: Annotated[Any, arg(constructor=flags(Observer))],
     target: int = 0,
-    sigma: OptionalFloat = None,
-    alpha: float = DEFAULT_ALPHA,
     beta: float = DEFAULT_BETA,
-    label: str = "anchored",
     json: OutputFile = None,
 ) -> None:
     """Rate trajectories by every metric; no model is needed.
 
-    The CSV file has a header and a row a point: columns x, y and in 3-D z [m]. A column named
-    trajectory, a name or number, tells several apart; with a column t or time, which must rise
-    within a trajectory, it is read at equal time steps, else the points are taken to be so. Other
+    The CSV file has a header and a row for each point: columns x, y and in 3-D z [m]. A column
+    named trajectory, a name or number, tells several apart. A column t or time, which must rise
+    within a trajectory, gives the times; without it the points are taken at equal time steps. Other
     columns are left out. No point may lie outside the scene's workspace. The achieved label is read
     off the scene's archive.
 
     Args:
         trajectories: a CSV file.
         scene: a scene file, .yaml or .json.
+        observer: the observer of the score and the labels.
         target: index of the intended goal, from 0.
-        sigma: the observer's σ [m]; 0.15 in 2D and 0.08 in 3D if not given.
-        alpha: decay of the score's weight over progress.
         beta: rationality [1/m] of Dragan's observer.
-        label: how the archive is labelled, anchored or rank.
         json: everything as JSON.
     """
     from ..checks import target_index
     from ..intent.metrics import evaluate_trajectory
-    from ..intent.observer import Observer
     from ..motion.archive import build_archive
     from ..scene import Scene
     from .trajectories import read_trajectories
@@ -56,27 +52,23 @@ def score(
     check_file(json, "JSON file")
     place = Scene.load(scene)
     target_index(target, place.num_goals)
-    observer = Observer(sigma, alpha, label).resolved(place.dim)
-    field = observer.field(place)
+    reader = made(Observer, observer).resolved(place.dim)
+    field = reader.field(place)
     curves = read_trajectories(trajectories, place)
-    archive = build_archive(place, target, observer=observer)
-    rated: dict[str, dict[str, float]] = {}
-    for name, curve in curves.items():
-        metrics = evaluate_trajectory(curve, field, target, alpha, beta)
-        achieved = archive.label_of(metrics["legibility_score"])
-        rated[name] = {k: float(v) for k, v in {"achieved_label": achieved, **metrics}.items()}
-
+    archive = build_archive(place, target, observer=reader)
     ends = np.stack([place.start, place.goals[target]])
-    gaps = {
-        name: np.linalg.norm(curve[[0, -1]] - ends, axis=-1).tolist()
-        for name, curve in curves.items()
-    }
-    rows = [
-        {"name": name, "points": len(curves[name]), **metrics,
-         "start_gap": gaps[name][0], "target_gap": gaps[name][1]}
-        for name, metrics in rated.items()
-    ]  # fmt: skip
-    config = {"target": target, "observer": observer.to_dict(), "beta": beta}
+    rated: dict[str, dict[str, Any]] = {}
+    for name, curve in curves.items():
+        metrics = evaluate_trajectory(curve, field, target, reader.alpha, beta)
+        start_gap, target_gap = np.linalg.norm(curve[[0, -1]] - ends, axis=-1)
+        rated[name] = {
+            "achieved_label": archive.label_of(metrics["legibility_score"]),
+            **metrics,
+            "start_gap": start_gap,
+            "target_gap": target_gap,
+        }
+    config = {"target": target, "observer": reader.to_dict(), "beta": beta}
+    rows = [{"name": n, "points": len(curves[n]), **metrics} for n, metrics in rated.items()]
     result = {"scene": place.to_dict(), "trajectories": rows}
     write_report(json, seed=0, config=config, result=result)
 
@@ -88,11 +80,12 @@ def score(
         values = np.array([metrics[metric] for metrics in rated.values()])
         cells = (values.mean(), values.min(), values.max()) if summary else values
         better = "lower" if metric.endswith(_LOWER_IS_BETTER) else "higher"
-        better = "" if metric == "achieved_label" else better
-        shown.add_row(metric, better, *map(significant, cells))
+        if not metric.endswith("_gap"):
+            better = "" if metric == "achieved_label" else better
+            shown.add_row(metric, better, *map(significant, cells))
     show(shown)
-    for name, (start_gap, target_gap) in gaps.items():
-        for gap, verb, end in (start_gap, "starts", "start"), (target_gap, "ends", "target"):
-            if gap > 0.01 * place.diagonal:
+    for name, metrics in rated.items():
+        for verb, end in (("starts", "start"), ("ends", "target")):
+            if (gap := metrics[f"{end}_gap"]) > 0.01 * place.diagonal:
                 problem = f"{verb} {number(gap)} m from the {end}, so its label means little"
                 note(f"trajectory {name} {problem}")
