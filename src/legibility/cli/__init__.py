@@ -116,8 +116,7 @@ def _run(arguments: list[str]) -> None:
     commands: dict[str, Callable[..., Any]] = {}
     for name, summary in verbs.items():
         word = name.split()[-1]
-        stand_in = type(word, (), {"__doc__": summary})
-        commands[word] = _load(name) if arguments[:1] == [word] else stand_in
+        commands[word] = _load(name) if arguments[:1] == [word] else _stand_in(summary)
     subcommand_cli_from_dict(
         commands,
         prog=f"legibility {group}".rstrip(),
@@ -137,3 +136,12 @@ def _load(name: str) -> Callable[..., Any]:
     """The function of a verb: `plan` of cli/plan.py, `path` of cli/train.py for "train path"."""
     module, *words = name.replace("-", "_").split()
     return getattr(importlib.import_module(f".{module}", __name__), (words or [module])[0])
+
+
+def _stand_in(summary: str) -> Callable[[], None]:
+    """A verb that is listed but not called."""
+
+    def verb() -> None: ...
+
+    verb.__doc__ = summary
+    return verb

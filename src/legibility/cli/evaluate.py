@@ -12,6 +12,7 @@ from tyro.conf import arg
 from ..evaluation import configuration
 from . import output
 from .options import MODEL, MODELS, OptionalText, OutputFile, Workers, flags, made
+from .report import result_figure
 
 _Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
 _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig))]
@@ -52,11 +53,7 @@ def dial(
     settings = _checked(configuration.DialConfig, evaluation, json, figure)
     from ..evaluation.dial import evaluate_dial
 
-    result = _measure("dial", evaluate_dial, settings, model, json, unit="scenes", **vars(workers))
-    if figure is not None:
-        from ..figures.dial import dial_figure
-
-        dial_figure(result, figure)
+    _measure("dial", evaluate_dial, settings, model, json, figure, **vars(workers))
 
 
 def execution(
@@ -110,14 +107,9 @@ def spectrum(
 ) -> None:
     """The paper's figure 3: executed motions over the whole dial in the scene of Table I."""
     settings = _checked(configuration.SpectrumConfig, evaluation, json, figure)
-    from ..evaluation.spectrum import Spectrum, evaluate_spectrum
+    from ..evaluation.spectrum import evaluate_spectrum
 
-    result = _measure("spectrum", evaluate_spectrum, settings, model, json)
-    if figure is not None:
-        from ..figures.spectrum import spectrum_figure
-
-        spectra = [Spectrum.of_result(result, letter) for letter in result["targets"]]
-        spectrum_figure(spectra, figure)
+    _measure("spectrum", evaluate_spectrum, settings, model, json, figure)
 
 
 def ablations(
@@ -171,10 +163,9 @@ def _compare(
         for method, shipped in baseline_names(environment_dim(settings.env)).items()
     }
     policies = load_baselines(names)
-    _measure(
-        kind, evaluate, settings, contestants.model, json,
-        list(map(output.model_record, names.values())), policies=policies, **vars(workers),
-    )  # fmt: skip
+    records = [output.model_record(name) for name in names.values()]
+    options = {"baselines": records, "policies": policies, **vars(workers)}
+    _measure(kind, evaluate, settings, contestants.model, json, **options)
 
 
 def _measure(
@@ -183,28 +174,25 @@ def _measure(
     settings: Any,
     model: str | None,
     json: Path | None,
+    figure: Path | None = None,
     baselines: list[dict[str, str]] | None = None,
-    unit: str = "rollouts",
     **options: Any,
-) -> dict[str, Any]:
-    """Evaluate a model under a progress bar, then write and print the result, which is returned."""
+) -> None:
+    """Evaluate a model under a progress bar; write, print and draw the result."""
     from ..envs import environment_dim
     from ..modulator import Modulator
 
     name = model or MODELS[environment_dim(settings.env)]
     modulator, used = Modulator.from_pretrained(name), output.model_record(name)
-    with output.progress_bar(unit) as progress:
+    with output.progress_bar("scenes" if kind == "dial" else "rollouts") as progress:
         result = evaluate(modulator, config=settings, **options, progress=progress)
     _write(kind, settings, result, json, model=used, baselines=baselines)
-    return result
+    if figure is not None:
+        result_figure(kind, result, figure)
 
 
 def _write(
-    kind: str,
-    settings: Any,
-    result: dict[str, Any],
-    json: Path | None,
-    **weights: Any,
+    kind: str, settings: Any, result: dict[str, Any], json: Path | None, **weights: Any
 ) -> None:
     """Write and print a result of a kind that the report knows."""
     from ..report.results import KINDS

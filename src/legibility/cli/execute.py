@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InvalidInputError
 from . import output
 from .options import Motions, OptionalText, OutputFile
+from .trajectories import write_trajectories
 
 if TYPE_CHECKING:
     from ..rollout import Rollout
@@ -96,8 +97,6 @@ def execute(
         },
     )
     if csv is not None:
-        from .trajectories import write_trajectories
-
         names = [f"{level:g}" for level in asked]
         write_trajectories(csv, names, np.stack([r.trajectory() for r in rollouts]))
     _draw(rollouts, figure, spectrum, video)

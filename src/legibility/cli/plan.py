@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..checks import count
 from . import output
 from .options import Motions, OptionalFloat, OptionalInt, OutputFile
+from .trajectories import write_trajectories
 
 
 def plan(
@@ -28,8 +30,6 @@ def plan(
         json: everything as JSON.
         csv: the trajectories as CSV, the format that `legibility score` reads.
     """
-    from ..checks import count
-
     count("points", points, low=2)
     output.check_figure(figure)
     output.check_file(json, "JSON file")
@@ -52,8 +52,6 @@ def plan(
     }
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     if csv is not None:
-        from .trajectories import write_trajectories
-
         write_trajectories(csv, [f"{level:g}" for level in asked], columns["trajectory"])
     output.write_report(
         json,

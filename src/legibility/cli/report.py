@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -53,18 +52,15 @@ def report(
     for file in sorted(weights.glob("*/config.json")) if weights else []:
         card = render_card(file.parent.name, read_json(file), contents)
         texts[file.with_name("README.md")] = card
-    drawings: dict[Path, Callable[[Path], None]] = {}
+    drawings: list[tuple[str, dict[str, Any], Path]] = []
     for kind, name in [(k, name) for k in KINDS for name in contents.get(k, {})]:
         document, stem = contents[kind][name], f"{kind}-{name}"
-        with well_formed(f"{stem}.json is not a result of the kind {kind}"):
-            draw = _picture(kind, document["result"])
-        if draw:
-            drawings[results / f"{stem}.png"] = draw
-        if draw and tables:
-            drawings[tables / f"{stem}.pdf"] = draw
+        if KINDS[kind].picture:
+            files = [results / f"{stem}.png", *([tables / f"{stem}.pdf"] if tables else [])]
+            drawings += [(kind, document["result"], file) for file in files]
         if tables:
-            parts = section_of(kind, name, document)
-            for number, part in enumerate((p for p in parts if isinstance(p, Table)), start=1):
+            parts = [p for p in section_of(kind, name, document) if isinstance(p, Table)]
+            for number, part in enumerate(parts, start=1):
                 texts[tables / f"{stem}-{number}.tex"] = part.latex(document["command"])
                 texts[tables / f"{stem}-{number}.csv"] = part.csv()
     for folder in {file.parent for file in texts}:
@@ -72,22 +68,20 @@ def report(
     for file, text in texts.items():
         write_bytes(file, text.encode())
         show(str(file))
-    for file, draw in drawings.items():
+    for kind, result, file in drawings:
         with well_formed(f"cannot draw {file}"):
-            draw(file)
+            result_figure(kind, result, file)
         show(str(file))
 
 
-def _picture(kind: str, result: dict[str, Any]) -> Callable[[Path], None] | None:
-    """The function that draws the picture of a result, if it has one, to a file."""
-    if kind in ("dial", "closed-loop"):
-        from ..figures.dial import dial_figure
-
-        return lambda file: dial_figure(result, file)
+def result_figure(kind: str, result: dict[str, Any], file: Path) -> None:
+    """Draw the picture of a result of a dial or spectrum."""
     if kind == "spectrum":
         from ..evaluation.spectrum import Spectrum
         from ..figures.spectrum import spectrum_figure
 
-        spectra = [Spectrum.of_result(result, letter) for letter in result["targets"]]
-        return lambda file: spectrum_figure(spectra, file)
-    return None
+        spectrum_figure([Spectrum.of_result(result, target) for target in result["targets"]], file)
+    else:
+        from ..figures.dial import dial_figure
+
+        dial_figure(result, file)
