@@ -185,13 +185,14 @@ class TestDrawing:
         monkeypatch.setattr(doctor, "_DRAW", script)
         if expected and "picture" in expected:
             monkeypatch.setattr(doctor, "_PATIENCE", 1.0)
-        assert doctor._renderer_error("glfw") == expected
+        part = doctor._attempt("MuJoCo's pictures", "glfw", doctor._draw)
+        assert part.state == ("–" if expected else "works")
+        assert part.remedy.endswith(f" ({expected})" if expected else "")
 
     def test_remedy(self, monkeypatch):
-        monkeypatch.setattr(doctor, "_renderer_error", {"osmesa": "no libOSMesa"}.get)
-        osmesa, egl = map(doctor._renderer, ("osmesa", "egl"))
-        assert osmesa[2:] == ("–", "apt-get install libosmesa6 (no libOSMesa)")
-        assert egl[2:] == ("works", "")
+        monkeypatch.setattr(doctor, "_DRAW", "raise SystemExit('no libOSMesa')")
+        osmesa = doctor._attempt("MuJoCo's pictures", "osmesa", doctor._draw)
+        assert osmesa.remedy == "apt-get install libosmesa6 (no libOSMesa)"
         monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
         (ffmpeg,) = doctor._ffmpeg()
         assert ffmpeg.state == "–"

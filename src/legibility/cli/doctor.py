@@ -166,36 +166,30 @@ def _weights() -> Iterable[Part]:
 
 
 def _renderers() -> Iterable[Part]:
-    """MuJoCo's renderers."""
-    backends = [name for name in _BACKENDS if sys.platform == "linux" or name == "glfw"]
     try:
         metadata.version("mujoco")
     except metadata.PackageNotFoundError:
         return []
+    backends = [name for name in _BACKENDS if sys.platform == "linux" or name == "glfw"]
     with ThreadPoolExecutor() as threads:
-        return list(threads.map(_renderer, backends))
+        return list(threads.map(lambda name: _attempt("MuJoCo's pictures", name, _draw), backends))
 
 
-def _renderer(backend: str) -> Part:
-    error = _renderer_error(backend)
-    remedy = f"{_BACKENDS[backend]} ({shorten(error, 70)})" if error else ""
-    return Part("MuJoCo's pictures", backend, _BROKEN if error else "works", remedy)
-
-
-def _renderer_error(backend: str) -> str | None:
-    """The error of a picture in MuJoCo, drawn in a process of its own, which a renderer may end."""
+def _draw(backend: str) -> str:
+    """Draw a picture in MuJoCo, in a process of its own, which a renderer may end."""
     try:
         process = subprocess.run(
             [sys.executable, "-W", "ignore", "-c", _DRAW],
             env={**os.environ, "MUJOCO_GL": backend}, stdin=subprocess.DEVNULL,
             capture_output=True, text=True, errors="replace", timeout=_PATIENCE,
         )  # fmt: skip
+        if process.returncode == 0:
+            return "works"
+        status = f"MuJoCo ended with status {process.returncode}"
+        error = [status, *filter(str.strip, process.stderr.splitlines())][-1]
     except subprocess.TimeoutExpired:
-        return f"no picture after {_PATIENCE:g} s"
-    if process.returncode == 0:
-        return None
-    lines = [line.strip() for line in process.stderr.splitlines() if line.strip()]
-    return lines[-1] if lines else f"MuJoCo ended with status {process.returncode}"
+        error = f"no picture after {_PATIENCE:g} s"
+    raise LegibilityError(f"{_BACKENDS[backend]} ({shorten(error, 70)})")
 
 
 def _ffmpeg() -> Iterable[Part]:
