@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from legibility.execution import Feedback, Fleet, Replay, follow
 
 import legibility as lg
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import InvalidInputError
-from legibility.execution import Feedback, Fleet, Replay, follow
 from legibility.motion.path import Path
 
 NAME = "legibility/BlockReach2D-v0"

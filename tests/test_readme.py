@@ -10,11 +10,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from legibility.evaluation.distilled_table import SUFFIX, distilled_section
 
 from legibility.cli import main
 from legibility.evaluation.bench_table import bench_section
 from legibility.evaluation.comparison import METHODS
-from legibility.evaluation.distilled_table import SUFFIX, distilled_section
 from legibility.models.pretrained import pretrained_folder, pretrained_names
 from legibility.modulator import Modulator
 from legibility.report.baseline_card import render_baseline_card
