@@ -312,12 +312,12 @@ class Modulator:
         self._check_fleet(fleet)
         off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for(fleet.size, legibility)
-        if paths is not None and (
-            len(paths) != fleet.size or not all(isinstance(path, Path) for path in paths)
-        ):
-            raise InvalidInputError(
-                f"paths must be a legibility.Path for each of {fleet.size} robots, got {paths}"
-            )
+        if paths is not None:
+            types = [type(path) for path in paths] if isinstance(paths, Sequence) else type(paths)
+            if types != [Path] * fleet.size:
+                raise InvalidInputError(
+                    f"paths must be a legibility.Path for each of {fleet.size} robots, got {types}"
+                )
         if targets is not None:
             fleet.set_targets(_for_each("targets", targets, fleet.scenes))
 
