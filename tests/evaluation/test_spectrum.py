@@ -2,17 +2,19 @@
 
 import numpy as np
 import pytest
-from legibility.execution import Feedback, Fleet, follow
 from PIL import Image
 
 import legibility as lg
 from legibility.curves import spaced
 from legibility.data.dataset import paths_of
+from legibility.drivers import Feedback
 from legibility.envs import vector_type
+from legibility.envs.fleet import Fleet
 from legibility.errors import InvalidInputError, OutputError
 from legibility.evaluation.spectrum import Spectrum
 from legibility.figures.spectrum import spectrum_figure
 from legibility.intent.metrics import potential_cost
+from legibility.rollout import follow
 
 LEVELS = (-1.0, 0.0, 1.0)
 
@@ -27,7 +29,7 @@ def rollouts(request):
     archive = lg.build_archive(scene, cells=8, random_candidates=512, max_candidates=2048)
     plans = [
         lg.Path(scene, 0, np.array(level), paths_of(archive)[archive.nearest(level)], np.False_,
-                archive.field, archive.alpha, archive.label)
+                archive.observer)
         for level in LEVELS
     ]  # fmt: skip
     env = vector_type(None, dim)(len(LEVELS))
