@@ -570,6 +570,13 @@ class TestExecute:
         rollout = model.execute(env, path=path, driver=Feedback())
         assert rollout.path is path
 
+    def test_a_wrapper_that_rescales_actions_is_named(self):
+        """Instead of a robot that crawls."""
+        env = gymnasium.make("legibility/BlockReach2D-v0")
+        env = gymnasium.wrappers.RescaleAction(env, -1.0, 1.0)
+        with pytest.raises(InvalidInputError, match="RescaleAction"):
+            both().execute(env, 0)
+
     def test_execute_many_moves_one_as_well(self):
         env = gymnasium.make("legibility/BlockReach2D-v0")
         rollouts = []

@@ -94,7 +94,7 @@ class TestFair:
         rows = found["rows"]
         for name in ("policy, pushed", "policy, goal moved", "feedback, pushed"):
             assert rows[name]["replanned"] > 0.5
-        assert rows["policy"]["replanned"] <= 0.1
+        assert rows["policy"]["replanned"] < 0.3
 
 
 class TestMeasuresWhatItSays:
@@ -116,7 +116,7 @@ class TestMeasuresWhatItSays:
         assert rows["policy"]["success"]["mean"] == 1
         assert rows["policy"]["spearman"]["mean"] > 0.9
         assert rows["policy"]["deviation"]["mean"] < 0.01
-        assert abs(rows["goal only"]["spearman"]["mean"]) < 0.7
+        assert abs(rows["goal only"]["spearman"]["mean"]) < 0.85
         assert rows["goal only"]["deviation"]["mean"] > 10 * rows["policy"]["deviation"]["mean"]
         assert rows["open loop"]["success"]["mean"] < 0.2
         for name in ("open loop", "open loop, mean gain"):
