@@ -91,10 +91,11 @@ class TestReplay:
         np.testing.assert_allclose(places[:, -1], robots.goals, atol=1e-9)
         lengths = gain * np.linalg.norm(actions, axis=-1)
         assert lengths.max() <= LIMIT / 2 * (1 + 1e-4)
-        tracker = robots.tracker
-        for number in range(places.shape[1]):
-            tracker.update(places[:, number], places[:, max(number - 1, 0)])
-            assert tracker.distance(places[:, number]).max() < 1e-3
+        previous = robots.positions
+        for place in places.swapaxes(0, 1):
+            robots.tracker.update(place, previous)
+            assert robots.tracker.distance(place).max() < 1e-3
+            previous = place
 
     def test_once(self):
         driver = Replay(LIMIT)

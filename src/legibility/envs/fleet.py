@@ -198,12 +198,10 @@ def _wrappers(env: Any) -> str:
 
 def _time_limits(env: Any) -> Array:
     """Control steps of an episode of each environment, `(B,)` or one for all."""
-    limits = [
-        [
-            layer.spec.max_episode_steps
-            for layer in _layers(single)
-            if isinstance(layer, TimeLimit) and layer.spec is not None
-        ]
-        for single in getattr(env.unwrapped, "envs", [env])
-    ]
-    return np.array([min(steps, default=np.inf) for steps in limits])
+    limits = []
+    for single in getattr(env.unwrapped, "envs", [env]):
+        specs = [layer.spec for layer in _layers(single) if isinstance(layer, TimeLimit)]
+        limits.append(
+            min((spec.max_episode_steps or np.inf for spec in specs if spec), default=np.inf)
+        )
+    return np.array(limits)
