@@ -34,9 +34,9 @@ def baselines(dataset, cli, tmp_path_factory, one_thread):
 def test_weights(baselines):
     plain, guided = (load_stages(folder) for folder in baselines.values())
     assert plain[0]["goal"].config.guidance == 0
-    assert plain[1]["goal"]["training"]["dropout"] == 0
+    assert plain[1]["goal"].training["dropout"] == 0
     assert "tuning" not in plain[1]["goal"]
-    assert guided[1]["goal"]["training"]["dropout"] == 0.2
+    assert guided[1]["goal"].training["dropout"] == 0.2
     tuning = guided[1]["goal"]["tuning"]
     assert len(tuning) == 4
     assert {row["guidance"] for row in tuning} == {2.0, 5.0}
