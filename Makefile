@@ -165,7 +165,7 @@ $(MEASURED:%=$(DONE)/%): $(DONE)/%: $(wildcard src/legibility/weights/*/*.safete
 		echo "SKIPPED: $* needs panda-gym, which is not installed"; exit 0; };; esac; \
 	echo $(LEGIBILITY) $($*); $(LEGIBILITY) $($*) && mkdir -p $(@D) && touch $@
 
-bench: $(STAMP) ## measure how fast it is on this machine, which is to be left alone meanwhile
+bench: $(STAMP) ## measure the speed of this machine; leave it alone meanwhile
 	$(LEGIBILITY) bench --json $(RESULTS)/bench-cpu.json
 
 clean: ## remove caches and build products

@@ -2,16 +2,18 @@
 
 import signal
 import socket
+import subprocess
 import sys
 import time
 from functools import partial
 
 import pytest
+import torch
 from jobs import Job, Shards, process
 
 from legibility.data.shards import make_shards
 from legibility.errors import InvalidInputError, MissingExtraError, WorkerError
-from legibility.parallel import pool
+from legibility.parallel import pool, threads
 
 SQUARES = [(i, i**2) for i in range(20)]
 
@@ -89,6 +91,38 @@ def test_shards_are_the_same_bytes_though_a_worker_was_killed(two, tmp_path):
     assert len(list((tmp_path / "two").iterdir())) == 7
 
 
+SCRIPT = """
+import sys
+from legibility.parallel import pool
+print(__name__)
+with pool(2, *sys.argv[1:]) as each:
+    print(sorted(each(abs, [-1, -2])))
+"""
+
+
+class TestScriptWithoutGuard:
+    """A script that starts workers at its top level, which each worker may import."""
+
+    def run(self, folder, *arguments):
+        (folder / "script.py").write_text(SCRIPT)
+        line = [sys.executable, str(folder / "script.py"), *arguments]
+        return subprocess.run(line, capture_output=True, text=True, timeout=120)
+
+    def test_processes_do_not_import_it(self, tmp_path):
+        finished = self.run(tmp_path)
+        assert (finished.returncode, finished.stderr) == (0, "")
+        assert finished.stdout == "__main__\n[(0, 1), (1, 2)]\n"
+
+    def test_a_local_cluster_is_an_error(self, tmp_path):
+        pytest.importorskip("distributed", reason="Dask is NOT TESTED: the extra is missing")
+        finished = self.run(tmp_path, "local")
+        assert finished.returncode == 1
+        last = finished.stderr.splitlines()[-1]
+        assert last.startswith("legibility.errors.WorkerError: the local cluster did not start")
+        assert "below `if __name__ == '__main__':`" in last
+        assert finished.stdout.count("__mp_main__") <= 2
+
+
 class TestRefuses:
     @pytest.mark.parametrize("workers", [0, -1, 1.5, "2", True])
     def test_workers(self, workers):
@@ -120,3 +154,14 @@ class TestRefuses:
         message = r"legibility\[cluster\]"
         with pytest.raises(MissingExtraError, match=message), pool(2, "local"):
             pass
+
+
+def test_threads_are_put_back():
+    before = torch.get_num_threads()
+    with threads(before + 1):
+        assert torch.get_num_threads() == before + 1
+        assert threads(1)(torch.get_num_threads)() == 1
+        assert torch.get_num_threads() == before + 1
+    with pytest.raises(ZeroDivisionError), threads(before + 1):
+        _ = 1 / 0
+    assert torch.get_num_threads() == before

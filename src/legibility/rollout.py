@@ -87,6 +87,7 @@ class Rollout:
         return float(self.path.archive.label_of(self.score))
 
 
+@np.errstate(under="ignore")
 def follow(
     fleet: Fleet,
     paths: list[Path],

@@ -4,10 +4,12 @@ import subprocess
 import sys
 
 import gymnasium
+import numpy as np
 import pytest
 
 from legibility.envs import DEFAULT_ENVIRONMENT, ENVIRONMENTS, MAX_EPISODE_STEPS, vector_type
 from legibility.errors import InvalidInputError
+from legibility.scene import Scene
 
 NEEDS = {"2d": (), "panda": ("mujoco", "mink"), "pandagym": ("panda_gym", "pybullet")}
 
@@ -36,6 +38,23 @@ def test_the_default_is_of_the_dimension(name):
         if default == name:
             assert vector_type(None, dim) is vector_type(name, dim)
             assert vector_type(name, dim).dim == dim
+
+
+def test_every_position_is_a_start(name):
+    """Also that of an arm which overshoots a wall."""
+    env = vector_type(name, 2 if name == "2d" else 3)(4)
+    env.reset(seed=0)
+    low, high = env.workspace
+    rng, beyond = np.random.default_rng(0), 0.0
+    for step in range(60):
+        if step % 10 == 0:
+            directions = rng.choice([-1, 1], size=(4, env.dim))
+        env.step(env.max_displacement * directions)
+        beyond = max(beyond, (low - env.positions).max(), (env.positions - high).max())
+        for scene, position in zip(env.scenes, env.positions, strict=True):
+            start = Scene(position, scene.goals, scene.workspace).start
+            np.testing.assert_array_equal(start, np.clip(position, low, high))
+    assert (beyond > 1e-6) == (name != "2d")
 
 
 def test_all_arms_have_one_interface():

@@ -15,6 +15,7 @@ from legibility.errors import InvalidInputError
 from legibility.motion.path import Path, straight_waypoints
 from legibility.rollout import follow
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*precision lowered by casting")
 NAME = "legibility/BlockReach2D-v0"
 SCENE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
 

@@ -16,15 +16,15 @@ __all__ = ["GuidedPolicy"]
 
 
 class GuidedPolicy:
-    """A goal-conditioned policy that keeps away from what it would do for the other goals.
+    """A goal-conditioned policy, guided away from its own actions for the other goals.
 
     It follows no path. The guidance is that of the model's configuration: none for Diffusion
-    Policy; for Legibility Diffuser its weight falls by γ with every chunk that a robot executes.
+    Policy; for Legibility Diffuser its weight decays by γ with every chunk that a robot executes.
 
     Args:
         model: the policy.
-        scenes: of each of the `B` robots that it moves.
-        targets: `(B,)`, index of the goal that is meant in each.
+        scenes: the scene of each of `B` robots.
+        targets: `(B,)`, index of the intended goal of each.
         seed: of the actions drawn.
         steps: of the sampler; the model's own if not given.
     """

@@ -79,10 +79,11 @@ def data(
         made_or_read = Dataset.load(folder)
         figure = folder / "info.png" if figure is None else figure
         check_figure(figure)
-        _draw(made_or_read, figure)
     config = made_or_read.config
     result = _describe(made_or_read, folder)
     write_report(json, seed=config.seed, config=config.to_dict(), result=result)
+    if figure is not None:
+        _draw(made_or_read, figure)
     show(*_tables(result, config, folder))
     if figure is not None:
         show(f"picture: {figure}")

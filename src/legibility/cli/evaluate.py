@@ -74,11 +74,11 @@ def dial(
     used = model_record(model)
     with progress_bar("scenes") as progress:
         result = evaluate_dial(modulator, settings, **vars(workers), progress=progress)
+    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     if figure is not None:
         from ..figures.dial import dial_figure
 
         dial_figure(result, figure)
-    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
 
     rows = table(
         f"{model} on {settings.scenes} scenes with {'..'.join(map(str, settings.goals))} goals",
@@ -286,11 +286,12 @@ def spectrum(
     used = model_record(name)
     with progress_bar("rollouts") as progress:
         result = evaluate_spectrum(modulator, settings, progress=progress)
+    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
     if figure is not None:
         from ..figures.spectrum import spectrum_figure
 
         spectrum_figure([Spectrum.of_result(result, letter) for letter in TARGETS], figure)
-    write_report(json, seed=settings.seed, config=asdict(settings), model=used, result=result)
+
     rows = table(
         f"{settings.rollouts} motions a level in {result['env']}",
         "asked ℓ", *(text for t in TARGETS for text in (f"L_p toward {t}", f"achieved ℓ ({t})")),

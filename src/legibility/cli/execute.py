@@ -42,7 +42,7 @@ def execute(
 
     Args:
         scene: a file, .yaml or .json, with the keys start and goals.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
         model: name of weights that came with the package, or a folder; those of the scene's
             dimension if not given.
@@ -127,21 +127,6 @@ def execute(
         }
         for rollout in rollouts
     ]
-    if figure is not None:
-        from ..figures.film import execution_figure
-
-        execution_figure(rollouts, figure)
-    if spectrum is not None:
-        from ..evaluation.spectrum import Spectrum
-        from ..evaluation.table1 import SCENES
-        from ..figures.spectrum import spectrum_figure
-
-        spectrum_figure([Spectrum.of(rollouts, SCENES[place.dim].spacing)], spectrum)
-    if video is not None:
-        from ..figures.film import execution_film
-
-        with progress_bar("frames") as progress:
-            execution_film(rollouts, video, progress=progress)
     if csv is not None:
         from .trajectories import write_trajectories
 
@@ -163,6 +148,21 @@ def execute(
         "rollouts": rows,
     }
     write_report(json, seed=seed, config=config, model=model_record(model), result=result)
+    if figure is not None:
+        from ..figures.film import execution_figure
+
+        execution_figure(rollouts, figure)
+    if spectrum is not None:
+        from ..evaluation.spectrum import Spectrum
+        from ..evaluation.table1 import SCENES
+        from ..figures.spectrum import spectrum_figure
+
+        spectrum_figure([Spectrum.of(rollouts, SCENES[place.dim].spacing)], spectrum)
+    if video is not None:
+        from ..figures.film import execution_film
+
+        with progress_bar("frames") as progress:
+            execution_film(rollouts, video, progress=progress)
 
     figures = table(
         f"{scene}, goal {target}, {model}",

@@ -45,6 +45,10 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 _PATIENCE = 2.0
 """Work shorter than this [s] shows no progress bar."""
 
+_LEAST_INTERVAL, _MOST_INTERVAL = 5.0, 30.0
+"""Off a terminal a line of progress is printed after a tenth of the work and this least time [s],
+and after the other at the latest."""
+
 
 def check_file(path: Path | None, what: str) -> None:
     """Raise before any work is done if `path`, the file of `what`, cannot be written."""
@@ -179,11 +183,26 @@ def _console(file: Any) -> Console:
     )
 
 
+class _ProgressLines:
+    """Progress for a log file or a pipe: a line now and then, and none of quick work."""
+
+    def __init__(self, title: str) -> None:
+        self.title, self.tenths, self.time = title, 0, time.monotonic()
+
+    def update(self, done: int, total: int) -> None:
+        """Print a line if enough was done, or enough time has passed, since the last one."""
+        tenths, waited = 10 * done // max(total, 1), time.monotonic() - self.time
+        if waited > (_LEAST_INTERVAL if tenths != self.tenths else _MOST_INTERVAL):
+            note(f"{self.title} {done} of {total}")
+            self.tenths, self.time = tenths, time.monotonic()
+
+
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     """Yield `progress(done, total, line="")`, which draws a bar once the work takes a while.
 
-    Only on a terminal; `line` is a message that stays, above the bar or in a log file.
+    Off a terminal it prints a line after every tenth of the work or 30 s instead. `line` is a
+    message that stays, above the bar or in a log file.
     """
     from rich.progress import (
         BarColumn,
@@ -196,6 +215,7 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
 
     console = _console(sys.stderr)
     started = time.monotonic()
+    lines = _ProgressLines(title)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     bar = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
     task = bar.add_task(title, total=None)
@@ -207,6 +227,8 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
             bar.start()
         if done >= total and bar.live.is_started:
             bar.stop()  # another one may follow
+        if not console.is_terminal:
+            lines.update(done, total)
         if line:
             bar.console.print(Text(line))
 

@@ -46,7 +46,7 @@ def plan(
 
     Args:
         scene: a file, .yaml or .json, with the keys start, goals and if wanted workspace.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 means nine equal steps.
         model: name of weights that came with the package, or a folder; those of the scene's
             dimension if not given.
@@ -98,15 +98,15 @@ def plan(
             dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)
         ],
     }
-    if figure is not None:
-        from ..figures.dial import plan_figure
-
-        plan_figure(path, figure)
     if csv is not None:
         from .trajectories import write_trajectories
 
         write_trajectories(csv, [f"{level:g}" for level in asked], trajectories)
     write_report(json, seed=seed, config=config, model=model_record(model), result=result)
+    if figure is not None:
+        from ..figures.dial import plan_figure
+
+        plan_figure(path, figure)
 
     figures = table(
         f"{scene}, goal {target}, {model}", "asked ℓ", "achieved ℓ", "score", "length ratio"

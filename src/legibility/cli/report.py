@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from ..bench.tables import bench_section
 from ..errors import InvalidInputError
-from ..evaluation.bench_table import bench_section
 from ..evaluation.comparison import METHODS
 from ..evaluation.spectrum import Spectrum
 from ..figures.dial import dial_figure

@@ -150,6 +150,7 @@ def demonstrate(
     return Demonstrations.load(folder)
 
 
+@np.errstate(under="ignore")
 def _shard(
     source: DatasetConfig,
     config: DemonstrationsConfig,

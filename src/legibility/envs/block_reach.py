@@ -43,7 +43,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         positions: `(B, D)` [m].
         velocities: `(B, D)` [m], the displacements of the last step, a push left out.
         scenes: the scenes as they are now; their start is where the episode started.
-        targets: `(B,)`, index of the goal that is meant.
+        targets: `(B,)`, index of the intended goal.
         done: `(B,)` bool, ended by success or by the limit on steps.
         success: `(B,)` bool, ended by success.
         steps: `(B,)`, control steps of the episode.
@@ -215,6 +215,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         disturbed = np.zeros(self.num_envs, dtype=bool)
         return self._observation(), self._info(disturbed)
 
+    @np.errstate(under="ignore")
     def step(
         self, actions: Array
     ) -> tuple[dict[str, Any], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:

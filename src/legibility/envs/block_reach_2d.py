@@ -103,7 +103,7 @@ class BlockReach2D(BlockReach):
     `reset(seed=…, options={…})` takes
 
     * `scene`: a `Scene` in the default workspace; drawn if not given.
-    * `target`: index of the goal that is meant; 0 if not given.
+    * `target`: index of the intended goal; 0 if not given.
     * `num_goals`: of a scene that is drawn; 2 to 6 if not given.
     * `noise`: standard deviation [m] of each step's displacement; 0 if not given.
     * `push`: once half the straight line's length is travelled, the robot is displaced by so much

@@ -92,7 +92,7 @@ def arm_image(
 
     Args:
         scene: the scene as it is now.
-        target: index of the goal that is meant, if it is to be marked.
+        target: index of the intended goal, if it is to be marked.
         angles: `(7,)` [rad], of the arm's joints.
         trails: trajectories drawn as tubes, 5000 points in all at most.
         size: width and height [pixels].

@@ -32,7 +32,7 @@ def draw_scene(scene: Scene, target: int, position: Array, size: int = 480) -> N
 
     Args:
         scene: the scene as it is now.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         position: `(2,)` [m], of the end effector.
         size: pixels of the longer side.
     """
@@ -119,7 +119,7 @@ class Window:
             if pyplot.get_backend() in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
                 raise RuntimeError(f"matplotlib's backend is {pyplot.get_backend()}")
             self._figure = pyplot.figure(figsize=size, dpi=100)
-        except (ImportError, RuntimeError) as cause:
+        except (ImportError, RuntimeError, ValueError) as cause:
             raise OutputError(
                 "render_mode='human' needs a display and a GUI toolkit such as tkinter "
                 f"({cause}); render_mode='rgb_array' needs neither"

@@ -26,11 +26,10 @@ from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..motion.path import Path
-from ..parallel import Each
+from ..parallel import Each, threads
 from ..rollout import Rollout
 from ..scene import Scene
 from .statistics import CONFIDENT, holm, paired_test
-from .threads import one_thread
 
 __all__ = [
     "BASELINE",
@@ -181,7 +180,7 @@ class Contest:
         times that, on one core.
         """
         if self.sizes is None:
-            with one_thread():
+            with threads(1):
                 job, times = [Job(scene, target, 1.0, 0, 0)], []
                 for _ in range(_REPEATS):
                     started = time.perf_counter()
@@ -201,7 +200,7 @@ class Contest:
         and the oracle's archive is given.
         """
         found = {}
-        with one_thread():
+        with threads(1):
             for name in METHODS:
                 if name != "oracle":
                     times = [self._timed(name, scene, target, seed) for seed in range(6)][1:]
@@ -282,7 +281,7 @@ class Contest:
             motions[number] += parts[index]
         return motions
 
-    @one_thread()
+    @threads(1)
     def _moved(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
         name, jobs, paths = item
         paths = paths or self.paths(name, jobs, [])

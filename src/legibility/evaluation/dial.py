@@ -15,12 +15,11 @@ from ..data.scenes import SceneStream
 from ..envs import vector_type
 from ..modulator import Modulator
 from ..motion.path import Path
-from ..parallel import pool
+from ..parallel import pool, threads
 from ..scene import Scene
 from ..seeds import plan_seeds
 from .configuration import DialConfig
 from .statistics import rank_correlation, summary
-from .threads import one_thread
 
 __all__ = ["FIGURES", "evaluate_dial", "worst"]
 
@@ -115,7 +114,7 @@ def evaluate_dial(
     }
 
 
-@one_thread()
+@threads(1)
 def _measure(
     modulator: Modulator, source: SceneStream, levels: Array, config: DialConfig, index: int
 ) -> dict[str, Any]:
@@ -192,7 +191,7 @@ def _executed(
     return score, np.stack([r.trajectory(200) for r in rollouts]), figures
 
 
-@one_thread()
+@threads(1)
 def plan_milliseconds(
     modulator: Modulator, scene: Scene, repeats: int = 200, **options: Any
 ) -> float:

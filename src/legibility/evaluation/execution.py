@@ -23,13 +23,12 @@ from ..modulator import Modulator
 from ..motion.archive import Archive
 from ..motion.path import Path
 from ..motion.tracking import NOMINAL_GAIN
-from ..parallel import pool
+from ..parallel import pool, threads
 from ..rollout import Rollout
 from ..scene import Scene
 from ..seeds import plan_seeds, stream_seed
 from .configuration import ExecutionConfig
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
-from .threads import one_thread
 
 __all__ = ["ROWS", "evaluate_execution"]
 
@@ -195,7 +194,7 @@ class _Course:
     levels: Array
     at_once: int
 
-    @one_thread()
+    @threads(1)
     def rollouts(self, task: _Task) -> list[Rollout]:
         row, part = ROWS[task.row], slice(task.first, task.first + self.at_once)
         plan_seed, policy_seed, env_seed = plan_seeds(
@@ -276,7 +275,7 @@ def _interval(success: NDArray[Any], shares: Array) -> tuple[float, float]:
     return min(exact[0], over_scenes[0]), max(exact[1], over_scenes[1])
 
 
-@one_thread()
+@threads(1)
 def step_milliseconds(
     modulator: Modulator, scene: Scene, kind: type[BlockReachVector], repeats: int = 5
 ) -> float:

@@ -90,7 +90,7 @@ class Spectrum:
 
     Attributes:
         scene: the scene.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         field: the observer.
         levels: ℓ `(L,)`, rising.
         motions: one of each level, `(T, D)` [m].

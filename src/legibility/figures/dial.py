@@ -181,7 +181,7 @@ def archive_figure(
 
     Args:
         scene: the scene.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         trajectories: `(N, T, D)` [m].
         labels: `(N,)`.
         all_labels: labels of the whole dataset, any shape.

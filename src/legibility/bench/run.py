@@ -1,0 +1,117 @@
+"""The bench: its configuration and the order of its measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from ..checks import count, positive
+from ..errors import InvalidInputError, MissingExtraError
+from ..parallel import threads
+
+__all__ = ["BenchConfig", "run_bench"]
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Sizes and durations of the measurements.
+
+    Attributes:
+        seconds: least time spent on a measurement in a round [s]; at least one call.
+        rounds: number of turns of each measurement.
+        threads: of PyTorch; its own default if not given.
+        batches: numbers of paths planned at once in a scene of 4 goals.
+        goals: numbers of goals of the scenes in which one path is planned.
+        robots: 2-D robots that move at once.
+        arms: arms that move at once.
+        dataset: scenes of the dataset.
+        training_steps: steps of stage 1 timed in a round.
+        device: cpu or cuda, for training; everything else runs on the CPU.
+    """
+
+    seconds: float = 0.2
+    rounds: int = 3
+    threads: int | None = None
+    batches: tuple[int, ...] = (1, 16, 64, 256, 1024)
+    goals: tuple[int, ...] = (2, 4, 6, 12)
+    robots: int = 256
+    arms: int = 16
+    dataset: int = 4
+    training_steps: int = 16
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        positive("seconds", self.seconds)
+        for name in ("rounds", "robots", "arms", "dataset", "training_steps"):
+            count(name, getattr(self, name))
+        if self.threads is not None:
+            count("threads", self.threads)
+        for name in ("batches", "goals"):
+            sizes = getattr(self, name)
+            if not sizes or list(sizes) != sorted({count(name, size) for size in sizes}):
+                raise InvalidInputError(f"{name} must be increasing numbers, got {sizes}")
+        if self.goals[0] < 2 or self.goals[-1] > 12:
+            raise InvalidInputError(f"goals must lie in [2, 12], got {self.goals}")
+
+
+def run_bench(
+    models: Sequence[str],
+    config: BenchConfig | None = None,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Measure `models`, and the data and training behind them.
+
+    Args:
+        models: names of weights or folders.
+        config: sizes and durations.
+        progress: called with the number of finished parts and of all parts.
+
+    Returns:
+        `machine`: `cpu`, `cores`, `threads`, `device`, `torch` and `load`, the load average before;
+        `skipped`: reasons why something was not measured;
+        `measurements`: a list of flat rows. Each has a `metric` with its `median`, 95 % interval
+        `low` to `high` and number of `calls`, and the conditions that it was measured under:
+        `plan_ms` by `model`, `backend`, `batch` and `goals`; `plan_one_core_ms`, `control_step_ms`
+        (one core), `rollouts_per_second`, `load_ms`, `first_plan_ms` and `memory_mb` (peak) by
+        `model` and `backend`; `archive_ms`, `candidates_per_second`, `scenes_per_second` (one
+        process) and `training_steps_per_second` (also by `precision`) by `dim`; `import_ms`.
+
+    Raises:
+        InvalidInputError: there are no models, or the device cannot be used.
+        CheckpointError: weights are missing or corrupted.
+    """
+    import torch
+
+    from . import measure
+
+    config = config or BenchConfig()
+    if not models:
+        raise InvalidInputError("models must be at least one, got none")
+    with threads(config.threads or torch.get_num_threads()):
+        machine = measure.machine(config.device)
+        skipped: list[str] = []
+        loaded = {name: measure.load(name, skipped) for name in models}
+        dims = dict.fromkeys(backends["torch"].config.dim for backends in loaded.values())
+        parts: list[Callable[[], list[dict[str, Any]]]] = []
+        for name, backends in loaded.items():
+            parts.append(partial(measure.plans, name, backends, config))
+            if backends["torch"].path_policy is None:
+                skipped.append(f"motions of {name}: it has no stage 2")
+            else:
+                parts.append(partial(measure.motions, name, backends, config))
+        for dim in dims:
+            parts.append(partial(measure.data, dim, config))
+            parts.append(partial(measure.training, dim, config))
+        parts.append(partial(measure.processes, loaded, config))
+        measurements = []
+        for done, part in enumerate(parts):
+            progress(done, len(parts))
+            try:
+                measurements += part()
+            except MissingExtraError as error:  # no simulator
+                skipped.append(str(error))
+        progress(len(parts), len(parts))
+    return {"machine": machine, "skipped": [*dict.fromkeys(skipped)], "measurements": measurements}
