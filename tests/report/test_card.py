@@ -4,10 +4,10 @@ import copy
 import re
 
 import pytest
-from legibility.evaluation.distilled_table import distilled_section
 
 from legibility.errors import InvalidInputError
 from legibility.evaluation.dial import FIGURES
+from legibility.evaluation.distilled_table import distilled_section
 from legibility.evaluation.execution import ROWS
 from legibility.report.card import (
     ablations_section,
