@@ -210,8 +210,8 @@ def test_points_a_little_beyond_a_wall_are_moved_onto_it(start, goals, kept):
 
 
 def test_only_a_robot_may_be_found_clearly_beyond_a_wall():
-    with pytest.raises(InvalidSceneError, match=r"start \[1.135, 0.5\] lies outside"):
-        Scene([1.135, 0.5], GOALS)
+    with pytest.raises(InvalidSceneError, match=r"start \[1.152, 0.5\] lies outside"):
+        Scene([1.152, 0.5], GOALS)
     with pytest.raises(InvalidSceneError, match=r"goals\[1\] \[1.1001, 0.3\] lies outside"):
         Scene(START, [[0.8, 0.6], [1.1001, 0.3]])
     with pytest.raises(InvalidSceneError, match=r"start and goals\[0\] coincide at \[1.1, 0.3\]"):

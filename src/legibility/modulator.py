@@ -49,8 +49,11 @@ class Modulator:
         path_policy: stage 2; without it motions are planned, not executed.
         name: of the weights.
         training: how each stage was made, by the names `path` and `policy`, for the model card.
-        backend: what runs the networks: `torch`, or `onnx` (onnxruntime: faster, the same results
-            to rounding), which does not see later changes of the weights.
+        backend: what runs the networks: `torch`, or `onnx` (onnxruntime: faster for one path, the
+            same results to rounding), which keeps to the present weights and to the model's own
+            guidance and number of steps.
+        graphs: folder that keeps the graphs of the backend `onnx`; a missing one is exported, which
+            needs onnxscript and up to a minute.
 
     Raises:
         InvalidInputError: the stages have different dimensions, or an unknown backend.
@@ -64,6 +67,7 @@ class Modulator:
         name: str = "unnamed",
         training: Mapping[str, TrainingRecord | None] | None = None,
         backend: str = "torch",
+        graphs: FilePath | None = None,
     ) -> None:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
         self.path_policy = path_policy
@@ -80,10 +84,11 @@ class Modulator:
             raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
         sample, self._policy = path_diffuser.sample, path_policy
         if backend == "onnx":
-            from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy
+            from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy, load_graph
 
-            sample = OnnxPathDiffuser(path_diffuser).sample
-            self._policy = path_policy and OnnxPathPolicy(path_policy)
+            sample = OnnxPathDiffuser(path_diffuser, load_graph(path_diffuser, graphs)).sample
+            if path_policy is not None:
+                self._policy = OnnxPathPolicy(path_policy, load_graph(path_policy, graphs))
         self.sampler = PathSampler(path_diffuser, sample, name)
 
     @property
@@ -112,7 +117,7 @@ class Modulator:
             raise CheckpointError(f"{folder} has no stage 1")
         return cls(
             stages["path"], stages.get("policy"),
-            name=folder.resolve().name, training=training, backend=backend,
+            name=folder.resolve().name, training=training, backend=backend, graphs=folder,
         )  # fmt: skip
 
     def save_pretrained(self, folder: str | FilePath) -> None:

@@ -98,7 +98,7 @@ def test_scene_that_does_not_fit_the_environment(refused):
         "start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nworkspace: [[-1, -1], [2, 2]]\n"
     )
     line = "--json j.json --figure f.png --video f.gif"
-    assert "the environment 2d is 2-D, what is asked 3-D" in refused(
+    assert "the environment 2d is 2-D, the model or scene 3-D" in refused(
         f"execute solid.yaml --env 2d {line}"
     )
     assert "the environment panda is 3-D" in refused(f"execute wide.yaml --env panda {line}")

@@ -27,19 +27,19 @@ _VERBS = {
     "train policy": "train stage 2, the path-guided policy",
     "train diffusion-policy": "train a baseline that knows the goal alone",
     "train legibility-diffuser": "train a baseline that is guided away from the other goals",
-    "evaluate dial": "measure achieved against asked legibility on scenes never seen",
-    "evaluate execution": "measure executed motions and what moves them on scenes never seen",
+    "evaluate dial": "measure achieved against asked legibility on held-out scenes",
+    "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
-    "evaluate unseen": "the same methods in scenes never seen, over each scene's oracle",
+    "evaluate unseen": "the same methods on held-out scenes, relative to each scene's oracle",
     "evaluate spectrum": "the paper's figure 3: motions over the whole dial and their cost",
-    "evaluate ablations": "measure what each part of stage 1 is worth, by small runs without it",
+    "evaluate ablations": "measure the worth of each part of stage 1 by small runs without it",
     "bench": "measure the speed of planning, control and training on this machine",
-    "report": "render measurements as tables, figures and model cards",
+    "report": "render results as a page with pictures, and as model cards",
     "doctor": "tell what is installed, what works here, and what to do about the rest",
 }
 _GROUPS = {
     "train": "make the weights of a model from a dataset",
-    "evaluate": "measure a model on scenes that training never drew",
+    "evaluate": "measure a model on held-out scenes",
 }
 _RESUMED = ("data", "train", "evaluate ablations")
 """Verbs that go on where they were interrupted."""

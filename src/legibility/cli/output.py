@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from ..errors import CheckpointError, OutputError
 from ..files import file_hash, write_json
+from ..report.table import Table, number, significant
 
 __all__ = [
     "ARGUMENTS",
@@ -133,35 +133,16 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def number(value: float, digits: int = 3) -> str:
-    """`value` with a fixed number of decimals, without a minus before zero."""
-    text = f"{value:.{digits}f}"
-    return text.lstrip("-") if float(text) == 0 else text
-
-
-def significant(value: float) -> str:
-    """`number`, but with three significant digits where decimals would not show them.
-
-    A time that is never reached is infinite.
-    """
-    if not math.isfinite(value):
-        return "never" if value > 0 else "–"
-    return f"{value:.3g}" if 0 < abs(value) < 0.1 else number(value)
-
-
 def table(title: str, *columns: str, text_columns: int = 0) -> Table:
     """An empty table, its first `text_columns` columns aligned left and the others right."""
-    result = Table(title=Text(title), title_justify="left")
-    for index, name in enumerate(columns):
-        result.add_column(Text(name), justify="left" if index < text_columns else "right")
-    return result
+    return Table(*columns, title=title, text_columns=text_columns)
 
 
 def show(*items: Table | str) -> None:
     """Print tables and lines to the standard output, as text and not as markup."""
     console = _console(sys.stdout)
     for item in items:
-        console.print(Text(item) if isinstance(item, str) else item)
+        console.print(Text(item) if isinstance(item, str) else item.rich())
 
 
 def note(line: str) -> None:

@@ -31,7 +31,7 @@ COLUMNS = {
     "at_-1": "ℓ when asked −1",
     "length_ratio_at_0": "length when asked 0",
 }
-"""Headings of the dial's figures that a table of the rows shows."""
+"""Heads of the dial's metrics in the table of the rows."""
 
 
 class Variant(NamedTuple):
@@ -81,8 +81,8 @@ def evaluate_ablations(
     """Measure the dial of each of `variants`, training the small runs among them.
 
     A small run has the network of `model` and is trained with the settings of `PathTrainingConfig`
-    but for its steps. Interrupted, the same call goes on: datasets, runs and rows that are in
-    `folder` are not made anew.
+    except for its steps. Interrupted, the same call resumes: it keeps the datasets, runs and rows
+    in `folder`.
 
     Args:
         model: name of weights that came with the package, or a folder.
@@ -152,8 +152,8 @@ def evaluate_ablations(
         )
         result[name] = {"text": variant.text, "small_run": bool(variant.scenes), **found}
         overall = found["overall"]
-        figures = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
-        progress(done, total, f"{variant.text}: {', '.join(figures)}")
+        metrics = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
+        progress(done, total, f"{variant.text}: {', '.join(metrics)}")
     return {"rows": result, "data": data.digest}
 
 

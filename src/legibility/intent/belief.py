@@ -25,6 +25,7 @@ from ..curves import arc_length
 from ..errors import InvalidInputError
 
 __all__ = [
+    "CONFIDENCE",
     "COSTS",
     "DEFAULT_BETA",
     "Cost",
@@ -42,6 +43,9 @@ Cost = Literal["length", "squared_velocity"]
 
 COSTS: tuple[Cost, ...] = ("length", "squared_velocity")
 """Costs that Dragan's observer assumes the robot minimises."""
+
+CONFIDENCE = 0.8
+"""Belief in the target from which on the observer is confident."""
 
 DEFAULT_BETA = 10.0
 """Rationality β [1/m]: with `length`, 0.1 m of detour makes a goal e times less likely."""
@@ -131,7 +135,7 @@ def posterior_legibility(posterior: ArrayLike, target: int) -> Array:
     return belief @ (weights / weights.sum())
 
 
-def time_to_confidence(posterior: ArrayLike, target: int, threshold: float = 0.8) -> Array:
+def time_to_confidence(posterior: ArrayLike, target: int, threshold: float = CONFIDENCE) -> Array:
     """First progress t from which on `P(g*) ≥ threshold` for good, `(...)`; lower = better.
 
     In [0, 1], one of the T times; `inf` if the last belief is below the threshold.

@@ -141,7 +141,9 @@ def _read_config(folder: Path) -> dict[str, Any]:
 def _load_stage(folder: Path, name: str, entry: dict[str, Any]) -> Any:
     config_type, network = _STAGES[name]
     try:
-        model = network(config_type.from_dict(entry["config"]))
+        config = config_type.from_dict(entry["config"])
+        with torch.device("cpu"):  # in float32 on the CPU, whatever PyTorch's defaults
+            model = network(config).float()
     except CheckpointError:
         raise
     except (ValueError, KeyError, TypeError, RuntimeError) as cause:
