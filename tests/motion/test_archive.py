@@ -433,8 +433,11 @@ print(1 / (made + scored), best(yardstick))
 """
 
 
-def test_fifty_thousand_candidates_a_second_on_one_core():
-    """Generated, resampled and placed by `build_archive`, and each of them scored."""
+def test_candidates_cost_little_more_than_their_arithmetic():
+    """Generated, resampled and placed by `build_archive`, and each of them scored.
+
+    About 4700 of them take as long as a fixed piece of NumPy, on any machine and one core.
+    """
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     path = {"PYTHONPATH": str(next(iter(lg.__path__)).removesuffix("/legibility"))}
     run = subprocess.run(
@@ -442,14 +445,4 @@ def test_fifty_thousand_candidates_a_second_on_one_core():
     )
     assert run.returncode == 0, run.stderr
     rate, yardstick = map(float, run.stdout.split())
-    print(f"{rate:,.0f} candidates/s, yardstick {yardstick * 1e3:.0f} ms")
-    if rate < 50_000 and yardstick > YARDSTICK_LIMIT:
-        pytest.skip(
-            f"only {rate:,.0f} candidates/s, but NumPy itself is slow here: the yardstick took "
-            f"{yardstick * 1e3:.0f} ms, above {YARDSTICK_LIMIT * 1e3:.0f}"
-        )
-    assert rate >= 50_000
-
-
-YARDSTICK_LIMIT = 0.08
-"""[s] A machine on which the yardstick takes longer is too slow or too busy to be judged."""
+    assert rate * yardstick > 2000, f"{rate:,.0f} candidates/s, yardstick {yardstick * 1e3:.0f} ms"
