@@ -90,7 +90,7 @@ class Path:
 
 def straight_waypoints(start: Array, goal: Array) -> Array:
     """`(K + 2, D)` [m], the straight line from `start` to `goal (D,)` [m] as a path."""
-    return start + np.linspace(0, 1, NUM_WAYPOINTS + 2)[:, None] * (goal - start)
+    return np.linspace(start, goal, NUM_WAYPOINTS + 2)
 
 
 @lru_cache(maxsize=32)
