@@ -8,6 +8,7 @@ that a scene may be moved, turned or scaled.
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,9 +84,9 @@ def check_scale(scene: Scene, name: str) -> None:
     Raises:
         InvalidSceneError: its points are too far apart or its workspace is too small.
     """
-    trained = float(np.linalg.norm(np.diff(DEFAULT_WORKSPACE[scene.dim], axis=0)))
-    points = np.concatenate([scene.start[None], scene.goals])
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    trained = math.dist(*DEFAULT_WORKSPACE[scene.dim])
+    high = np.maximum(scene.start, scene.goals.max(axis=0))
+    size = math.dist(high, np.minimum(scene.start, scene.goals.min(axis=0)))
     if scene.diagonal < trained / LARGEST_SCALE or size > trained * LARGEST_SCALE:
         part, size = ("scene", size) if size > trained else ("workspace", scene.diagonal)
         raise InvalidSceneError(
@@ -191,7 +192,8 @@ def _odds(scene: Scene, target: int, field: InformationPotentialField) -> tuple[
     """`scene_odds` in full precision."""
     corners = np.concatenate([np.zeros((1, scene.dim)), np.eye(scene.dim)])
     log_posterior = field.log_posterior(Frame.of(scene, target).frame_to_world(corners))
-    odds = np.delete(log_posterior, target, axis=1) - log_posterior[:, [target]]
+    others = [g for g in range(scene.num_goals) if g != target]
+    odds = log_posterior[:, others] - log_posterior[:, [target]]
     return (odds[1:] - odds[0]).T, odds[0]
 
 

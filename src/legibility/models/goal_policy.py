@@ -11,10 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from ..checks import Array
-from .actions import ActionDenoiser
 from .configuration import GoalPolicyConfig
 from .diffusion import ddim, sampling_timesteps
-from .path_policy import compressed
+from .path_policy import ActionDenoiser, compressed
 
 __all__ = ["GoalPolicy", "goal_features", "guidance_weights"]
 

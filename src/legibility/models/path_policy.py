@@ -1,4 +1,7 @@
-"""Stage 2, the path-guided diffusion policy: two states, goal and path to actions (paper, V.C)."""
+"""Stage 2, the path-guided diffusion policy: two states, goal and path to actions (paper, V.C).
+
+`ActionDenoiser` is shared with the baselines' policy.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,17 @@ from torch import Tensor, nn
 
 from ..checks import Array
 from ..motion.tracking import PathTracker
-from .actions import ActionDenoiser
-from .configuration import PathPolicyConfig
+from .configuration import ActionConfig, PathPolicyConfig
 from .diffusion import ddim, sampling_timesteps
 from .frame import axes_along
+from .networks import FiLMUNet, Residual, fourier
 
-__all__ = ["Observation", "PathPolicy"]
+__all__ = ["ActionDenoiser", "Observation", "PathPolicy"]
 
 _AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Arc lengths ahead, in limits, at which the policy sees the path: as far as a chunk gets."""
+
+_TIME_FREQUENCIES = 8
 
 _REACH = 4.0
 """Beyond this many limits distances are compressed."""
@@ -96,6 +101,46 @@ def compressed(vectors: Array) -> Array:
     """Vectors `(..., D)` whose length grows like the logarithm beyond `_REACH`, over `_REACH`."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True) / _REACH
     return vectors / _REACH * np.arcsinh(length) / np.maximum(length, 1e-9)
+
+
+class ActionDenoiser(nn.Module):
+    """A U-Net over a chunk of actions, in limits and over `scale`, that a context modulates.
+
+    Args:
+        config: its shape.
+        inputs: F, features of an observation.
+    """
+
+    def __init__(self, config: ActionConfig, inputs: int) -> None:
+        super().__init__()
+        size = config.condition
+        self.steps = config.diffusion_steps
+        self.observe = nn.Linear(inputs, size)
+        self.fuse = nn.Sequential(Residual(size), Residual(size))
+        self.time = nn.Sequential(
+            nn.Linear(2 * _TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
+        )
+        self.unet = FiLMUNet(config.dim, config.dim, config.channels, size)
+        self.scale: Tensor  # of the actions over the data, set by training
+        self.register_buffer("scale", torch.ones(()))
+        self.signal: Tensor  # ᾱ at each diffusion step, set by training
+        self.register_buffer("signal", torch.ones(config.diffusion_steps))
+
+    def _encode(self, features: Tensor, guided: Tensor, nothing: Tensor) -> Tensor:
+        """`(B, E)` of `features (B, F)`; `nothing (E,)` stands for what is not `guided (B,)`."""
+        return self.fuse(self.observe(features) + torch.where(guided[:, None], 0.0, nothing))
+
+    def forward(self, noisy: Tensor, timestep: Tensor, context: Tensor) -> Tensor:
+        """The velocity v (Salimans & Ho 2022), `(B, chunk, D)`.
+
+        Args:
+            noisy: `(B, chunk, D)`, noisy actions over `scale`.
+            timestep: `(B,)` int, of the noise schedule, or `(1,)` for all.
+            context: `(B, E)` of what is observed.
+        """
+        time = timestep.float() / self.steps * 2 - 1
+        condition = nn.functional.silu(context + self.time(fourier(time, _TIME_FREQUENCIES)))
+        return self.unet(noisy, condition)
 
 
 class PathPolicy(ActionDenoiser):
