@@ -55,7 +55,7 @@ def search(
         scene: any.
         target: index of the intended goal.
         level: ℓ in [−1, 1].
-        observer: who scores and labels them.
+        observer: scores and labels them.
         num_candidates: curves drawn.
         seed: of the curves.
     """
@@ -79,7 +79,7 @@ def candidates_within(milliseconds: float, scene: Scene, target: int, observer: 
 
     The largest power of √2 from 64 to 65,536 whose median time is not longer.
     """
-    found, size = _ENDS[0], float(_ENDS[0])
+    number, size = _ENDS[0], float(_ENDS[0])
     while size <= _ENDS[1]:
         times = []
         for seed in range(_REPEATS):
@@ -88,5 +88,5 @@ def candidates_within(milliseconds: float, scene: Scene, target: int, observer: 
             times.append(1e3 * (time.perf_counter() - start))
         if np.median(times) > milliseconds:
             break
-        found, size = round(size), size * np.sqrt(2)
-    return found
+        number, size = round(size), size * np.sqrt(2)
+    return number

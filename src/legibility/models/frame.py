@@ -1,8 +1,7 @@
 """The frame in which the networks see a scene: the start is the origin, the target (1, 0, …).
 
-Whatever is left of a scene in this frame (where the distractors pull, how far the walls are, how
-wide the observer's likelihood is) is what a network must know, and nothing else: it need not learn
-that a scene may be moved, turned or scaled.
+A network that sees only this frame (where the distractors pull, how far the walls are, how wide the
+observer's likelihood is) need not learn that a scene may be moved, turned or scaled.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ __all__ = [
 ]
 
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
-"""What of the frame an image shows along each axis, in lengths of the straight line."""
+"""The part of the frame in an image along each axis, in lengths of the straight line."""
 
 LARGEST_SCALE = 4.0
 """A scene may be this many times larger or smaller than those of training; there the dial's mean
@@ -112,7 +111,6 @@ def axes_along(direction: np.ndarray) -> np.ndarray:
     return np.stack([forward, side, np.cross(forward, side)], -2)
 
 
-@np.errstate(under="ignore")
 def scene_image(
     scene: Scene, target: int, field: InformationPotentialField, resolution: int
 ) -> np.ndarray:
@@ -155,9 +153,8 @@ def _grid(dim: int, resolution: int) -> Array:
     return grid
 
 
-@np.errstate(under="ignore")
 def scene_vector(scene: Scene, target: int, field: InformationPotentialField) -> np.ndarray:
-    """What an image cannot show exactly: the workspace's centre and half-axes in the frame, and σ.
+    """Exact values beside the image: the workspace's centre and half-axes in the frame, and σ.
 
     Returns:
         `(vector_size(D),)` float32.
@@ -165,15 +162,11 @@ def scene_vector(scene: Scene, target: int, field: InformationPotentialField) ->
     frame = Frame.of(scene, target)
     low, high = scene.workspace
     half = (high - low) / 2 / frame.scale
-    parts = [
-        frame.world_to_frame((low + high) / 2),
-        (frame.rotation * half).ravel(),
-        [np.log(frame.scale / field.sigma)],
-    ]
-    return np.concatenate(parts).astype(np.float32)
+    centre, axes = frame.world_to_frame((low + high) / 2), frame.rotation * half
+    width = math.log(frame.scale / field.sigma)
+    return np.array([*centre, *axes.flat, width], dtype=np.float32)
 
 
-@np.errstate(under="ignore")
 def scene_odds(
     scene: Scene, target: int, field: InformationPotentialField
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -31,11 +31,11 @@ _REACH = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What the policy sees of `B` robots, each in a frame of its own.
+    """The policy's inputs of `B` robots, each in a frame at the robot.
 
-    The origin is the robot; the first axis is the path's direction there, or where there is no path
-    the goal's. Lengths are in limits. The place on the path is tracked, so however often a path
-    meets itself the robot sees the stretch that it is on, about as far ahead as a chunk can get.
+    The first axis is the path's direction there, or without a path the goal's. Lengths are in
+    limits. The place on the path is tracked: however often a path meets itself, the robot sees the
+    stretch that it is on, about as far ahead as a chunk can get.
 
     Attributes:
         features: `(B, F)` float32: last displacement (with the position, the two past states), the
@@ -57,14 +57,14 @@ class Observation:
         limit: float,
         tracker: PathTracker | None = None,
     ) -> Observation:
-        """Of robots at `positions (B, D)` [m] that were at `previous (B, D)` [m] one step before.
+        """The inputs of `B` robots.
 
         Args:
             positions: `(B, D)` [m].
-            previous: `(B, D)` [m].
+            previous: `(B, D)` [m], one step before.
             goals: `(B, D)` [m], the targets.
             limit: largest displacement of an action [m].
-            tracker: where they are on their paths; without one they are to reach the goal anyhow.
+            tracker: their places on their paths; without it they see only the goal.
         """
         size, dim = positions.shape
         to_goal = goals - positions

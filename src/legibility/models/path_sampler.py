@@ -10,13 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..checks import Array, count, finite_array
+from ..checks import Array, finite_array
 from ..curves import NUM_WAYPOINTS, path_curve
 from ..errors import CheckpointError, InvalidInputError
 from ..intent.metrics import SCORE_POINTS
 from ..motion.path import straight_waypoints
 from ..scene import Scene
-from .configuration import PathDiffuserConfig
+from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
 from .frame import Frame
 from .path_diffuser import PathDiffuser
@@ -45,8 +45,8 @@ class Sampling(NamedTuple):
         guidance, steps = self
         if guidance is not None:
             guidance = float(finite_array("guidance", guidance, ndim=0))
-        if steps is not None and count("steps", steps) > config.diffusion_steps:
-            raise InvalidInputError(f"steps must be at most {config.diffusion_steps}, got {steps}")
+        if steps is not None:
+            at_most("steps", steps, config.diffusion_steps)
         fixed = config.guidance, config.sampling_steps
         if config.distilled and (guidance not in (None, fixed[0]) or steps not in (None, fixed[1])):
             raise InvalidInputError(
