@@ -70,9 +70,16 @@ def test_only_the_models_own_steps_and_guidance_are_run(pair):
     options = {"guidance": config.guidance, "steps": config.sampling_steps}
     path = model.plan(scene, 0, 0.3, **options)
     np.testing.assert_array_equal(path.waypoints, model.plan(scene, 0, 0.3).waypoints)
-    for name, own in options.items():
-        with pytest.raises(InvalidInputError, match=rf"{name}.* {own:g}"):
-            model.plan(scene, 0, 0.3, **{name: own + 1})
+    inputs = (
+        model.path_diffuser.conditions([scene], [0]),
+        torch.zeros(1),
+        torch.zeros(1, 8, scene.dim),
+    )
+    for name, value in options.items():
+        with pytest.raises(InvalidInputError, match=rf"{name}.* {value:g}"):
+            model.plan(scene, 0, 0.3, **{name: value + 1})
+        with pytest.raises(InvalidInputError, match=rf"{name} must be the model's own {value:g}"):
+            model.sampler.sample(*inputs, **{name: value + 1})
 
 
 def observed(model, size):
@@ -198,7 +205,7 @@ def test_executed_motions_are_the_same():
         env = BlockReach2DVector(3)
         env.reset(seed=0)
         model = Modulator.from_pretrained("block-reach-2d", backend=backend)
-        rollouts.append(model.execute(env, legibility=[-1, 0, 1], seed=0))
+        rollouts.append(model.execute_many(env, legibility=[-1, 0, 1], seed=0))
     for one, two in zip(*rollouts, strict=True):
         assert (one.reason, len(one.states)) == (two.reason, len(two.states))
         np.testing.assert_allclose(two.states, one.states, atol=1e-4)
@@ -215,7 +222,7 @@ def test_a_model_goes_to_another_process():
     for modulator in (model, other):
         env = BlockReach2DVector(2)
         env.reset(seed=0)
-        rollouts.append(modulator.execute(env, legibility=[-1, 1], seed=0))
+        rollouts.append(modulator.execute_many(env, legibility=[-1, 1], seed=0))
     for one, two in zip(*rollouts, strict=True):
         np.testing.assert_array_equal(two.states, one.states)
 

@@ -39,12 +39,7 @@ def archive_path(archive: Archive, level: float) -> Path:
 
 @np.errstate(under="ignore")
 def search(
-    scene: Scene,
-    target: int,
-    level: float,
-    observer: Observer,
-    num_candidates: int,
-    seed: int,
+    scene: Scene, target: int, level: float, observer: Observer, num_candidates: int, seed: int
 ) -> Path:
     """The nearest to ℓ of random cubic Béziers in this scene.
 

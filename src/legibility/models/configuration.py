@@ -11,8 +11,6 @@ from ..curves import NUM_WAYPOINTS
 from ..errors import CheckpointError, InvalidInputError
 from ..intent.observer import Observer
 
-__all__ = ["ActionConfig", "GoalPolicyConfig", "PathDiffuserConfig", "PathPolicyConfig"]
-
 
 def at_most(name: str, value: Any, most: int) -> None:
     """Raise unless `value` is an integer from 1 to `most`."""

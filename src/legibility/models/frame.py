@@ -17,16 +17,6 @@ from ..errors import InvalidSceneError
 from ..intent.field import InformationPotentialField
 from ..scene import DEFAULT_WORKSPACE, Scene
 
-__all__ = [
-    "Frame",
-    "axes_along",
-    "check_scale",
-    "scene_image",
-    "scene_odds",
-    "scene_vector",
-    "vector_size",
-]
-
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
 """The part of the frame in an image along each axis, in lengths of the straight line."""
 

@@ -15,8 +15,6 @@ from .configuration import GoalPolicyConfig
 from .diffusion import ddim, sampling_timesteps
 from .path_policy import ActionDenoiser, compressed
 
-__all__ = ["GoalPolicy", "goal_features", "guidance_weights"]
-
 
 def goal_features(
     positions: Array, previous: Array, goals: Array | None, limit: float, workspace: Array

@@ -28,8 +28,6 @@ from ..scene import Scene
 from .path_diffuser import Conditions, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-__all__ = ["OnnxPathDiffuser", "OnnxPathPolicy", "export_graph", "load_graph"]
-
 _VERSION = 2
 """Of what the graphs compute; a new one makes stored graphs be exported again."""
 

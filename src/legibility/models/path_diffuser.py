@@ -18,8 +18,6 @@ from .diffusion import ddim, sampling_timesteps
 from .frame import DEPTH, FIELD_CHANNELS, scene_image, scene_odds, scene_vector, vector_size
 from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fourier
 
-__all__ = ["Conditions", "PathDiffuser"]
-
 NO_ODDS = -1e4
 LEVEL_FREQUENCIES = 12
 TIME_FREQUENCIES = 16

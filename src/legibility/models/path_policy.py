@@ -18,8 +18,6 @@ from .diffusion import ddim, sampling_timesteps
 from .frame import axes_along
 from .networks import FiLMUNet, Residual, fourier
 
-__all__ = ["ActionDenoiser", "Observation", "PathPolicy"]
-
 _AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Arc lengths ahead, in limits, at which the policy sees the path: as far as a chunk gets."""
 

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..checks import Array, finite_array
+from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
 from ..errors import CheckpointError, InvalidInputError
 from ..intent.metrics import SCORE_POINTS
@@ -20,8 +20,6 @@ from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
 from .frame import Frame
 from .path_diffuser import PathDiffuser
-
-__all__ = ["PathSampler", "Sampling"]
 
 _RETRIES = 3
 _STEP_BACK = 0.03
@@ -44,7 +42,7 @@ class Sampling(NamedTuple):
         """The same; raises if a model of these settings cannot sample so."""
         guidance, steps = self
         if guidance is not None:
-            guidance = float(finite_array("guidance", guidance, ndim=0))
+            guidance = bounded("guidance", guidance, -1e3, 1e3)
         if steps is not None:
             at_most("steps", steps, config.diffusion_steps)
         fixed = config.guidance, config.sampling_steps
