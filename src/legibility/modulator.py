@@ -81,13 +81,13 @@ class Modulator:
         if backend not in BACKENDS:
             raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
         self.name, self.training = name, training or {}
-        sample, self._actor = path_diffuser.sample, path_policy
+        sample, self._policy = path_diffuser.sample, path_policy
         if backend == "onnx":
             from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy, load_graph
 
             sample = OnnxPathDiffuser(path_diffuser, load_graph(path_diffuser, graphs)).sample
             if path_policy is not None:
-                self._actor = OnnxPathPolicy(path_policy, load_graph(path_policy, graphs))
+                self._policy = OnnxPathPolicy(path_policy, load_graph(path_policy, graphs))
         self.sampler = PathSampler(path_diffuser, sample, name)
 
     @property
@@ -305,9 +305,9 @@ class Modulator:
         """
         seed = seed_or_entropy("seed", seed)
         if driver is None:
-            if self._actor is None:
+            if self._policy is None:
                 raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
-            driver = Policy(self._actor, seed)
+            driver = Policy(self._policy, seed)
         fleet = Fleet(env, seed)
         self._check_fleet(fleet)
         tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
