@@ -32,8 +32,9 @@ def finite_array(
     values, which NumPy would convert, are refused.
     """
     try:
-        array = np.asarray(_detached(value))
-        if array.dtype.kind not in "iufO" or _has_truth_value(value):
+        plain = type(value) is np.ndarray  # whose dtype says it all
+        array = np.asarray(value if plain else _detached(value))
+        if array.dtype.kind not in "iufO" or (not plain and _has_truth_value(value)):
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError) as cause:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 
@@ -72,10 +73,12 @@ def resample(trajectory: Array, num_points: int) -> Array:
     Linear between the given points; the two ends stay where they are.
     """
     positions = equal_arc_positions(cumulative_length(trajectory), num_points)
-    left = np.minimum(positions.astype(np.intp), trajectory.shape[-2] - 2)
+    *batch, size, dim = trajectory.shape
+    left = np.minimum(positions.astype(np.intp), size - 2)
     weight = (positions - left)[..., None]
-    low = np.take_along_axis(trajectory, left[..., None], axis=-2)
-    high = np.take_along_axis(trajectory, left[..., None] + 1, axis=-2)
+    flat = trajectory.reshape(-1, dim)
+    rows = left + size * np.arange(math.prod(batch)).reshape(*batch, 1)
+    low, high = flat[rows], flat[rows + 1]
     points = low + weight * (high - low)
     points[..., [0, -1], :] = trajectory[..., [0, -1], :]  # free of rounding
     return points

@@ -90,10 +90,12 @@ class InformationPotentialField:
         target = target_index(target, self.num_goals)
         x = finite_array("x", x, min_ndim=1, last=self.dim)
         # φ = log(1 + Σ exp(logit_g − logit_g*)), stable both ways.
-        slope = np.delete(self._slope, target, axis=1) - self._slope[:, target, None]
-        intercept = np.delete(self._intercept, target) - self._intercept[target]
+        slope = self._slope - self._slope[:, target, None]
+        intercept = self._intercept - self._intercept[target]
+        offset = x - self._origin
         # One distractor at a time: sums over a short last axis are slow in NumPy.
-        odds = [(x - self._origin) @ slope[:, g] + intercept[g] for g in range(len(intercept))]
+        others = (g for g in range(self.num_goals) if g != target)
+        odds = [offset @ slope[:, g] + intercept[g] for g in others]
         against = odds[0]
         if len(odds) > 1:
             top = functools.reduce(np.maximum, odds)
