@@ -115,7 +115,7 @@ def dial(
     settings = made(DialConfig, evaluation)
     from ..evaluation.dial import evaluate_dial
     from ..modulator import Modulator
-    from ..report.dial import dial_section
+    from ..report.sections import dial_section
 
     modulator, used = Modulator.from_pretrained(model), model_record(model)
     with progress_bar("scenes") as progress:
@@ -142,7 +142,7 @@ def execution(
     settings = made(ExecutionConfig, evaluation)
     from ..evaluation.execution import evaluate_execution
     from ..modulator import Modulator
-    from ..report.execution import execution_section
+    from ..report.sections import execution_section
 
     modulator, used = Modulator.from_pretrained(model), model_record(model)
     with progress_bar("rollouts") as progress:
@@ -163,7 +163,7 @@ def table1(
     same and in ten times the time, and the archive's most legible trajectory.
     """
     settings = made(Table1Config, evaluation)
-    from ..evaluation.table1 import evaluate_table1
+    from ..evaluation.comparison import evaluate_table1
     from ..report.comparison import table1_section
 
     _compare(evaluate_table1, table1_section, settings, workers, contestants, output)
@@ -177,7 +177,7 @@ def unseen(
 ) -> None:
     """The methods of table1 on held-out scenes, relative to each scene's oracle."""
     settings = made(UnseenConfig, evaluation)
-    from ..evaluation.unseen import evaluate_unseen
+    from ..evaluation.comparison import evaluate_unseen
     from ..report.comparison import unseen_section
 
     _compare(evaluate_unseen, unseen_section, settings, workers, contestants, output)
@@ -217,7 +217,7 @@ def spectrum(
     from ..envs import environment_dim
     from ..evaluation.spectrum import Spectrum, evaluate_spectrum
     from ..modulator import Modulator
-    from ..report.comparison import spectrum_section
+    from ..report.sections import spectrum_section
 
     name = model or MODELS[environment_dim(settings.env)]
     modulator, used = Modulator.from_pretrained(name), model_record(name)
@@ -249,7 +249,7 @@ def ablations(
     check_folder(out, "small runs")
     from ..data.dataset import Dataset
     from ..evaluation.ablations import evaluate_ablations
-    from ..report.dial import ablations_section
+    from ..report.sections import ablations_section
 
     used, dataset = model_record(model), Dataset.load(data)
     with progress_bar("scenes and training steps") as progress:

@@ -22,8 +22,6 @@ from ..training.team import choose_device
 from .configuration import AblationsConfig, DialConfig
 from .dial import evaluate_dial
 
-__all__ = ["COLUMNS", "Variant", "evaluate_ablations", "variants"]
-
 COLUMNS = {
     "spearman": "Spearman",
     "error": "error of ℓ",

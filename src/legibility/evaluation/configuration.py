@@ -8,24 +8,31 @@ from ..checks import bounded, count, random_seed
 from ..data.scenes import SceneStream
 from ..errors import InvalidInputError
 
-__all__ = [
-    "AblationsConfig",
-    "DialConfig",
-    "ExecutionConfig",
-    "SpectrumConfig",
-    "Table1Config",
-    "UnseenConfig",
-]
-
 
 @dataclass(frozen=True)
-class DialConfig:
-    """Settings of the evaluation.
+class HeldOutScenes:
+    """Scenes of an evaluation.
 
     Attributes:
         scenes: random scenes of the evaluation stream.
         goals: least and most goals of a scene.
-        seed: of the scenes and of the plans.
+        seed: of the scenes, the plans, the actions and the robots' hidden properties.
+    """
+
+    scenes: int = 200
+    goals: tuple[int, int] = (2, 6)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        count("scenes", self.scenes)
+        SceneStream("evaluation", goals=self.goals, seed=self.seed)
+
+
+@dataclass(frozen=True)
+class DialConfig(HeldOutScenes):
+    """Settings of the evaluation.
+
+    Attributes:
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
         candidates: paths of which the nearest is measured as well; 0 leaves it out.
@@ -37,9 +44,6 @@ class DialConfig:
             given.
     """
 
-    scenes: int = 200
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
     levels: int = 21
     samples: int = 8
     candidates: int = 16
@@ -49,8 +53,7 @@ class DialConfig:
     env: str | None = None
 
     def __post_init__(self) -> None:
-        count("scenes", self.scenes)
-        SceneStream("evaluation", goals=self.goals, seed=self.seed)
+        super().__post_init__()
         count("levels", self.levels, low=3)
         count("samples", self.samples)
         count("candidates", self.candidates, low=0)
@@ -59,29 +62,22 @@ class DialConfig:
 
 
 @dataclass(frozen=True)
-class ExecutionConfig:
+class ExecutionConfig(HeldOutScenes):
     """Settings of the evaluation.
 
     Attributes:
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        seed: of the scenes, the plans and the environments.
         rollouts: total number, the same in each scene, ℓ uniform in [−1, 1].
         disturbance: of a push or a shift of the target [m]; twice the largest displacement of a
             step if not given.
         env: environment, 2d, panda or pandagym; that of the dimension if not given.
     """
 
-    scenes: int = 200
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
     rollouts: int = 5000
     disturbance: float | None = None
     env: str | None = None
 
     def __post_init__(self) -> None:
-        count("scenes", self.scenes)
-        SceneStream("evaluation", goals=self.goals, seed=self.seed)
+        super().__post_init__()
         if count("rollouts", self.rollouts) % self.scenes or self.rollouts < 3 * self.scenes:
             raise InvalidInputError(
                 f"rollouts must be a multiple of scenes, three or more in each, "
@@ -92,13 +88,13 @@ class ExecutionConfig:
 
 
 @dataclass(frozen=True)
-class Table1Config:
-    """Settings of the evaluation.
+class ComparisonConfig:
+    """Settings of a comparison of all methods.
 
     Attributes:
         env: environment, 2d, panda or pandagym.
-        rollouts: of each method toward either target.
-        seed: of the plans, the actions and the robots' hidden properties.
+        rollouts: of each method with ℓ = 1, toward either target or in each held-out scene.
+        seed: of the scenes, the plans, the actions and the robots' hidden properties.
         search_candidates: curves of the first search; the second draws ten times that. 0 means as
             many as fit in the time of a plan, which is measured first.
     """
@@ -109,40 +105,40 @@ class Table1Config:
     search_candidates: int = 0
 
     def __post_init__(self) -> None:
-        count("rollouts", self.rollouts, low=2)
+        count("rollouts", self.rollouts)
         random_seed("seed", self.seed)
         count("search_candidates", self.search_candidates, low=0)
 
 
 @dataclass(frozen=True)
-class UnseenConfig:
+class Table1Config(ComparisonConfig):
+    """Settings of the evaluation."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count("rollouts", self.rollouts, low=2)
+
+
+@dataclass(frozen=True)
+class UnseenConfig(ComparisonConfig):
     """Settings of the evaluation.
 
     Attributes:
-        env: environment, 2d, panda or pandagym.
         scenes: random scenes of the evaluation stream.
         goals: least and most goals of a scene.
-        rollouts: of each method in each scene with ℓ = 1.
         levels: of ℓ from −1 to 1, a motion each, for methods that take an ℓ.
-        seed: of the scenes, the plans, the actions and the robots' hidden properties.
-        search_candidates: curves of the first search; the second draws ten times that. 0 means as
-            many as fit in the time of a plan, which is measured first.
     """
 
-    env: str = "2d"
+    rollouts: int = 4
     scenes: int = 100
     goals: tuple[int, int] = (2, 6)
-    rollouts: int = 4
     levels: int = 11
-    seed: int = 0
-    search_candidates: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         count("scenes", self.scenes, low=2)
         SceneStream("evaluation", goals=self.goals, seed=self.seed)
-        count("rollouts", self.rollouts)
         count("levels", self.levels, low=3)
-        count("search_candidates", self.search_candidates, low=0)
 
 
 @dataclass(frozen=True)
@@ -168,13 +164,10 @@ class SpectrumConfig:
 
 
 @dataclass(frozen=True)
-class AblationsConfig:
+class AblationsConfig(HeldOutScenes):
     """Settings of the evaluation and of the small runs.
 
     Attributes:
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        seed: of the scenes and of the plans.
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
         sampling_steps: of the sampler, each with the shipped weights.
@@ -185,8 +178,6 @@ class AblationsConfig:
     """
 
     scenes: int = 50
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
     levels: int = 11
     samples: int = 4
     sampling_steps: tuple[int, ...] = (1, 2, 4, 8, 100)
@@ -205,6 +196,6 @@ class AblationsConfig:
     def dial(self, steps: int | None = None, guidance: float | None = None) -> DialConfig:
         """How a row is measured, `steps` and `guidance` of the sampler as in `DialConfig`."""
         return DialConfig(
-            scenes=self.scenes, goals=self.goals, seed=self.seed, levels=self.levels,
-            samples=self.samples, candidates=0, guidance=guidance, steps=steps,
+            self.scenes, self.goals, self.seed, self.levels, self.samples,
+            candidates=0, guidance=guidance, steps=steps,
         )  # fmt: skip

@@ -9,15 +9,6 @@ import numpy as np
 
 from ..checks import Array
 
-__all__ = [
-    "bootstrap_interval",
-    "holm",
-    "paired_test",
-    "rank_correlation",
-    "share_interval",
-    "summary",
-]
-
 
 def bootstrap_interval(
     values: Array, statistic: Callable[..., Array] = np.mean, level: float = 0.95
@@ -100,7 +91,7 @@ def share_interval(happened: np.ndarray, level: float = 0.95) -> tuple[float, fl
 
 
 def summary(values: Array) -> dict[str, float | list[float]]:
-    """Mean over scenes with its 95 % interval, and the worst and best scene."""
+    """Mean over scenes with its 95 % interval, and the least and greatest value."""
     values = np.asarray(values, dtype=np.float64)
     return {
         "mean": float(values.mean()),

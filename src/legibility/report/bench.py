@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from .sections import threads_of
 from .table import Column, Part, Table
-from .wording import threads_of
-
-__all__ = ["bench_section", "measured"]
 
 Columns = dict[str, dict[str, Any]]
 """By its head, the metric of a column and its further conditions."""

@@ -6,13 +6,11 @@ from typing import Any
 
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
-from ..evaluation.comparison import METHODS
+from ..evaluation.contest import METHODS
 from ..models.provenance import TrainingRecord
 from .results import Results, headline_table, well_formed
+from .sections import WORLDS, goals_of, percent, threads_of
 from .table import Part, Table, markdown, number
-from .wording import WORLDS, goals_of, percent, threads_of
-
-__all__ = ["render_card"]
 
 _HEAD = """\
 ---

@@ -12,11 +12,15 @@ from typing import Any, NamedTuple
 from ..errors import InvalidInputError
 from ..files import read_text
 from .bench import bench_section, measured
-from .comparison import spectrum_section, table1_section, unseen_section
-from .dial import ablations_section, dial_section
-from .execution import execution_section
+from .comparison import table1_section, unseen_section
+from .sections import (
+    ablations_section,
+    dial_section,
+    execution_section,
+    percent,
+    spectrum_section,
+)
 from .table import Part, Table, markdown, number
-from .wording import percent
 
 __all__ = [
     "KINDS",
