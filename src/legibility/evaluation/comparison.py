@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -327,9 +327,7 @@ def paper_rows(dim: int) -> dict[str, dict[str, float | None]]:
     """
     if dim not in SCENES:
         raise InvalidInputError(f"dim must be 2 or 3, got {dim!r}")
-    table = (
-        resources.files("legibility.evaluation").joinpath("table1.csv").read_text(encoding="utf-8")
-    )
+    table = Path(__file__).with_name("table1.csv").read_text(encoding="utf-8")
     rows = {}
     for row in csv.DictReader(table.splitlines()):
         if row.pop("environment") == f"{dim}d":
