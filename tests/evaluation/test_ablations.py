@@ -173,8 +173,11 @@ class TestEvaluate:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
-            ({"stream": "validation"}, "must have stream train, theirs is validation"),
-            ({"observer": Observer(label="rank")}, "must have label anchored, theirs is rank"),
+            ({"stream": "validation"}, "stream train and label anchored, theirs are validation"),
+            (
+                {"observer": Observer(label="rank")},
+                "stream train and label anchored, theirs are train and rank",
+            ),
             ({"observer": Observer(sigma=0.2)}, "the data have sigma 0.2, the model 0.15"),
         ],
     )

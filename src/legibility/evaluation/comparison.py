@@ -122,13 +122,8 @@ def evaluate_table1(
     Rollouts are paired: the n-th of each method has the same robot and the same seeds. The metrics
     do not depend on the number of workers.
 
-    Args:
-        modulator: both stages.
-        policies: the baselines by the name of their method.
-        config: of the evaluation.
-        workers: see `pool`.
-        cluster: see `pool`.
-        progress: called with the number of finished motions and of all motions.
+    Arguments as of `evaluate_dial`; the model needs both stages, `policies` are the baselines by
+    the name of their method.
 
     Returns:
         `methods`: for each its times and, toward either target, success with interval, end reasons,

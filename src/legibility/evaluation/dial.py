@@ -93,7 +93,7 @@ def evaluate_dial(
         config: of the evaluation.
         workers: see `pool`.
         cluster: see `pool`.
-        progress: called with the scenes done and all of them.
+        progress: called with the number of finished items and of all items.
 
     Returns:
         `overall`: each of `METRICS` with mean over scenes, 95 % interval, worst and best;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple
@@ -92,12 +92,7 @@ def evaluate_execution(
     Every row of `ROWS` has the same scenes, levels, plans, hidden gains, lags and disturbances. The
     metrics do not depend on the number of workers, each of which runs on one thread.
 
-    Args:
-        modulator: the model, with both stages.
-        config: of the evaluation.
-        workers: see `pool`.
-        cluster: see `pool`.
-        progress: called with the scenes and rollouts done and all of them.
+    Arguments as of `evaluate_dial`; the model needs both stages.
 
     Returns:
         `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ (of
@@ -119,31 +114,35 @@ def evaluate_execution(
     limit = policy.config.limit
     disturbance = _DISTURBANCE * limit if config.disturbance is None else config.disturbance
     at_once = min(kind.at_once, config.rollouts)
-    batches = range(0, config.rollouts, at_once)
     scene_of = np.repeat(np.arange(config.scenes), config.rollouts // config.scenes)
     draw = stream_seed("evaluation", config.seed, 0, "plan")
     levels = np.random.default_rng(draw).uniform(-1, 1, config.rollouts)
     advance = counter(progress, config.scenes + len(ROWS) * config.rollouts)
     rows: dict[str, dict[str, Any]] = {}
-    plans: list[list[Path] | None] = [None] * len(batches)
     with pool(workers, cluster) as work:
         step_ms = step_milliseconds(modulator, source.scene(0), kind)
         env_speed = env_steps_per_second(kind, at_once)
         scores_of = partial(_scores_of, source, modulator.config.observer)
         archives = gather(work, scores_of, range(config.scenes), lambda _: advance(1))
         scenes = [archives[i].scene for i in scene_of.tolist()]
-        course = _Course(modulator, policy, config.seed, kind, disturbance, scenes, levels, at_once)
+        batches = [
+            _Batch(scenes[first : first + at_once], levels[first : first + at_once],
+                   plan_seeds(config.seed, first, 3, "demonstration"))
+            for first in range(0, config.rollouts, at_once)
+        ]  # fmt: skip
+        run = partial(_rollouts, modulator, policy, kind, disturbance)
         started = time.perf_counter()
-        parts = [course.rollouts(_Task(next(iter(ROWS)), 0, None))]
+        parts = [run((next(iter(ROWS)), batches[0]))]
         speed = at_once / (time.perf_counter() - started)
         advance(at_once)
         for name, row in ROWS.items():
-            tasks = [_Task(name, *task) for task in zip(batches, plans, strict=True)]
-            parts += gather(
-                work, course.rollouts, tasks[len(parts) :], lambda part: advance(len(part))
-            )
+            tasks = [(name, batch) for batch in batches[len(parts) :]]
+            parts += gather(work, run, tasks, lambda part: advance(len(part)))
             # The plans of the first row are those of all.
-            plans = [[rollout.path for rollout in part] for part in parts]
+            batches = [
+                batch._replace(paths=[rollout.path for rollout in part])
+                for batch, part in zip(batches, parts, strict=True)
+            ]
             rows[name] = _metrics(list(chain(*parts)), levels, scene_of, archives, limit)
             parts = []
             if row.disturbance == "shift":
@@ -168,37 +167,31 @@ def _scores_of(source: SceneStream, observer: Observer, index: int) -> Archive:
     return replace(archive, controls=nothing, trajectories=nothing, descriptors=nothing)
 
 
-class _Task(NamedTuple):
-    """The rollouts of a row from `first` on, `at_once` of them, on `paths` or on new plans."""
+class _Batch(NamedTuple):
+    """Rollouts of a row that are executed together, on `paths` or on new plans."""
 
-    row: str
-    first: int
-    paths: list[Path] | None
-
-
-@dataclass(frozen=True)
-class _Course:
-    """The scene and the level of each rollout, which all rows share, and the model."""
-
-    modulator: Modulator
-    policy: PathPolicy
-    seed: int
-    kind: type[BlockReachVector]
-    disturbance: float
     scenes: list[Scene]
     levels: Array
-    at_once: int
+    seeds: list[int]
+    paths: list[Path] | None = None
 
-    @threads(1)
-    def rollouts(self, task: _Task) -> list[Rollout]:
-        row, part = ROWS[task.row], slice(task.first, task.first + self.at_once)
-        plan_seed, policy_seed, env_seed = plan_seeds(self.seed, task.first, 3, "demonstration")
-        return execute(
-            self.modulator, self.kind, self.scenes[part], env_seed,
-            {row.disturbance: self.disturbance} if row.disturbance else {},
-            legibility=self.levels[part], seed=plan_seed, paths=task.paths,
-            driver=row.driver(self.policy, policy_seed), replan=row.replan,
-        )  # fmt: skip
+
+@threads(1)
+def _rollouts(
+    modulator: Modulator,
+    policy: PathPolicy,
+    kind: type[BlockReachVector],
+    disturbance: float,
+    task: tuple[str, _Batch],
+) -> list[Rollout]:
+    row, batch = ROWS[task[0]], task[1]
+    plan_seed, policy_seed, env_seed = batch.seeds
+    return execute(
+        modulator, kind, batch.scenes, env_seed,
+        {row.disturbance: disturbance} if row.disturbance else {},
+        legibility=batch.levels, seed=plan_seed, paths=batch.paths,
+        driver=row.driver(policy, policy_seed), replan=row.replan,
+    )  # fmt: skip
 
 
 def _metrics(
