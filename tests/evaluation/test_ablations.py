@@ -167,7 +167,7 @@ class TestEvaluate:
     def test_other_training_in_the_same_folder(self, evaluated, model, data, small):
         folder, _, _ = evaluated
         other = AblationsConfig(**{**vars(SHORT), "training_steps": 3})
-        with pytest.raises(CheckpointError, match="another run|training.steps"):
+        with pytest.raises(CheckpointError, match=r"another run|training\.steps"):
             evaluate_ablations(model, data, folder, other)
 
     @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from .sections import threads_of
 from .table import Column, Part, Table
 
 Columns = dict[str, dict[str, Any]]
@@ -89,3 +88,8 @@ def _table(
 def _short(value: float) -> str:
     """Three significant digits."""
     return f"{value:,.0f}" if value >= 100 else f"{value:#.3g}".rstrip(".")
+
+
+def threads_of(facts: dict[str, Any]) -> str:
+    """The number of threads of a measurement."""
+    return f"{facts['threads']} thread{'s' * (facts['threads'] > 1)}"

@@ -8,8 +8,9 @@ from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
 from ..evaluation.contest import METHODS
 from ..models.provenance import TrainingRecord
+from .bench import threads_of
 from .results import Results, headline_table, well_formed
-from .sections import goals_of, threads_of
+from .sections import goals_of
 from .table import Part, markdown
 
 _HEAD = """\
@@ -134,7 +135,7 @@ def _baseline(
     return [
         *parts,
         "## Metrics",
-        f"Its comparison with the modulator is in {_PAGE} once it is measured.",
+        f"Its comparison with the modulator is in {_PAGE}.",
         "## Limits",
         "It is trained on stage 2's demonstrations, which reach goals in many random scenes in all "
         "ways, with stage 2's budget and network size, and not, as by its authors, on "

@@ -9,6 +9,7 @@ from typing import Any
 from ..evaluation.ablations import COLUMNS
 from ..evaluation.dial import METRICS, worst
 from ..evaluation.execution import ROWS
+from .bench import threads_of
 from .table import Column, Part, Table, number
 
 WORLDS = {
@@ -32,11 +33,6 @@ def scenes_of(document: dict[str, Any]) -> str:
         f"{config['scenes']:,} held-out random scenes with {goals_of(config)} "
         f"(seed {document['seed']})"
     )
-
-
-def threads_of(facts: dict[str, Any]) -> str:
-    """The number of threads of a measurement."""
-    return f"{facts['threads']} thread{'s' * (facts['threads'] > 1)}"
 
 
 def percent(share: float) -> str:
