@@ -38,8 +38,8 @@ Rows = list[dict[str, Any]]
 Backends = dict[str, Modulator]
 Work = Callable[[], list[float]]
 """Runs once and returns the durations of its repetitions [s]."""
-Entry = tuple[dict[str, Any], Work, int | None]
-"""The conditions of a row, the work to time, and its number of items if the metric is a rate."""
+Entry = tuple[str, dict[str, Any], Work, int | None]
+"""A metric, its conditions, the work to time, and the number of items if the metric is a rate."""
 
 _GOALS = 4
 _SCENES = 100  # more than the modulator caches
@@ -106,9 +106,9 @@ def plans(name: str, backends: Backends, config: BenchConfig) -> Rows:
         at = {"model": name, "backend": backend}
         for batch, goals in sizes:
             plan = timed(_planning(model, batch, goals))
-            entries.append(_entry("plan_ms", plan, {**at, "batch": batch, "goals": goals}))
+            entries.append(("plan_ms", {**at, "batch": batch, "goals": goals}, plan, None))
         alone = threads(1)(timed(_planning(model, 1, _GOALS)))
-        entries.append(_entry("plan_one_core_ms", alone, at))
+        entries.append(("plan_one_core_ms", at, alone, None))
     return _measured(entries, config)
 
 
@@ -130,9 +130,8 @@ def motions(name: str, backends: Backends, config: BenchConfig) -> Rows:
     entries: list[Entry] = []
     for backend, model in backends.items():
         at = {"model": name, "backend": backend}
-        entries.append(_entry("control_step_ms", partial(step, model), at))
-        rollouts = timed(partial(roll_out, model))
-        entries.append(_entry("rollouts_per_second", rollouts, at, robots))
+        entries.append(("control_step_ms", at, partial(step, model), None))
+        entries.append(("rollouts_per_second", at, timed(partial(roll_out, model)), robots))
     return _measured(entries, config)
 
 
@@ -140,11 +139,10 @@ def data(dim: int, config: BenchConfig) -> Rows:
     """One archive, and a dataset by one process."""
     scene = _scenes(dim, _GOALS)[0]
     archive, candidates = timed(lambda: build_archive(scene)), build_archive(scene).num_candidates
-    dataset = timed(lambda: _dataset(dim, config))
-    entries = [
-        _entry("archive_ms", archive, {"dim": dim}),
-        _entry("candidates_per_second", archive, {"dim": dim}, candidates),
-        _entry("scenes_per_second", dataset, {"dim": dim}, config.dataset),
+    entries: list[Entry] = [
+        ("archive_ms", {"dim": dim}, archive, None),
+        ("candidates_per_second", {"dim": dim}, archive, candidates),
+        ("scenes_per_second", {"dim": dim}, timed(lambda: _dataset(dim, config)), config.dataset),
     ]
     return _measured(entries, config)
 
@@ -169,10 +167,10 @@ def training(dim: int, config: BenchConfig) -> Rows:
             )  # fmt: skip
         return np.diff(ends[_WARM_UP - 1 : -1]).tolist()  # the last step also validates
 
-    entries: list[Entry] = []
-    for name, precision in {"float32": "no", "bf16": "bf16"}.items():
-        at, steps = {"dim": dim, "precision": name}, partial(train, precision)
-        entries.append(_entry("training_steps_per_second", steps, at, 1))
+    entries: list[Entry] = [
+        ("training_steps_per_second", {"dim": dim, "precision": n}, partial(train, precision), 1)
+        for n, precision in (("float32", "no"), ("bf16", "bf16"))
+    ]
     return _measured(entries, config, warm_up=False)
 
 
@@ -189,18 +187,15 @@ def processes(models: Mapping[str, Backends], config: BenchConfig) -> Rows:
     return [*rows, {"metric": "import_ms", **summary(imports)}]
 
 
-def _entry(metric: str, work: Work, at: dict[str, Any], number: int | None = None) -> Entry:
-    return {"metric": metric, **at}, work, number
-
-
 def _measured(entries: list[Entry], config: BenchConfig, *, warm_up: bool = True) -> Rows:
     """Rows in milliseconds, or in items a second where an entry has a number of them."""
-    works = [work for _, work, _ in entries]
+    works = [work for _, _, work, _ in entries]
     times = interleaved(works, config.seconds, config.rounds, warm_up=warm_up)
-    return [
-        {**row, **summary([number / t if number else 1e3 * t for t in durations])}
-        for (row, _, number), durations in zip(entries, times, strict=True)
-    ]
+    rows: Rows = []
+    for (metric, at, _, number), durations in zip(entries, times, strict=True):
+        values = [number / t if number else 1e3 * t for t in durations]
+        rows.append({"metric": metric, **at, **summary(values)})
+    return rows
 
 
 @cache

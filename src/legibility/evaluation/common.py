@@ -70,13 +70,7 @@ def execute(
 ) -> list[Rollout]:
     """Execute one motion in each of `scenes`, together.
 
-    Args:
-        modulator: the model.
-        kind: vector environment.
-        scenes: of the motions.
-        env_seed: of the robots' hidden properties.
-        options: of the reset, other than the scene.
-        **execution: of `Modulator.execute_many`.
+    `env_seed` and `options` are of the reset, `execution` is of `Modulator.execute_many`.
     """
     env = kind(len(scenes), max_goals=max(6, *(scene.num_goals for scene in scenes)))
     env.reset(seed=env_seed, options={"scene": list(scenes), **options})

@@ -58,17 +58,11 @@ TARGETS = {"R": 0, "G": 1}
 
 
 class TableScene(NamedTuple):
-    """A scene of the table and the units of its metrics.
-
-    Attributes:
-        scene: two goals, R and G.
-        spacing: between the points that the paper's two metrics sum over [m].
-        unit: length of one metre in the table's L_d.
-    """
+    """A scene of the table, with goals R and G, and the units of its metrics."""
 
     scene: Scene
-    spacing: float
-    unit: float
+    spacing: float  # between the points that the paper's two metrics sum over [m]
+    unit: float  # length of one metre in the table's L_d
 
 
 SCENES = {

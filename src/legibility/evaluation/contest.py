@@ -33,13 +33,7 @@ BASELINE = "diffusion policy"
 
 
 class Method(NamedTuple):
-    """A way to the goal: a path that stage 2 follows, or a policy.
-
-    Attributes:
-        text: name in tables.
-        dial: whether it takes an ℓ.
-        guided: whether it is a policy, without a path.
-    """
+    """A way to the goal: a path that stage 2 follows, or a `guided` policy without a path."""
 
     text: str
     dial: bool
@@ -151,12 +145,9 @@ class Contest:
         return 1e3 * planned, 1e3 * (planned + sum(driver.times))
 
     def paths(self, name: str, jobs: Sequence[Job], archives: Sequence[Archive]) -> list[Path]:
-        """A path for each of `jobs`; for a policy the straight line, which is not followed.
+        """A path of a method for each of `jobs`; for a policy the straight line, not followed.
 
-        Args:
-            name: of the method.
-            jobs: the motions.
-            archives: of each job's scene, for the oracle.
+        `archives` of each job's scene are for the oracle alone.
         """
         if name == "oracle":
             return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]
@@ -178,13 +169,7 @@ class Contest:
         each: Each,
         progress: Progress = silent,
     ) -> list[list[Motion]]:
-        """Execute the jobs of every method in `work`, as many at once as fit.
-
-        Args:
-            work: methods, their jobs, and the archives of the jobs' scenes, for the oracle.
-            each: of `pool`.
-            progress: called with the number of finished motions and of all motions.
-        """
+        """Execute methods' jobs, with the archives of the jobs' scenes, as many at once as fit."""
         items: list[tuple[str, Sequence[Job], list[Path] | None]] = []
         for name, jobs, archives in work:
             # Archives are large: the oracle takes its paths before anything is sent.

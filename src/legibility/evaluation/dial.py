@@ -30,15 +30,10 @@ from .statistics import rank_correlation, summary
 
 
 class Metric(NamedTuple):
-    """A metric of the dial.
-
-    Attributes:
-        text: its meaning.
-        best: the value nearest to which is best; ±inf if higher or lower is better.
-    """
+    """A metric of the dial."""
 
     text: str
-    best: float | None
+    best: float | None  # the value nearest to which is best; ±inf if higher or lower is better
 
 
 METRICS = {
@@ -62,12 +57,7 @@ METRICS = {
 
 
 def worst(name: str, values: dict[str, float]) -> float | None:
-    """The worst scene's value of a metric, None if neither way is better.
-
-    Args:
-        name: of the metric.
-        values: its `min` and `max` over the scenes.
-    """
+    """The value of a metric, of `min` and `max` over scenes, in the worst; None if none is."""
     best = METRICS[name].best
     if best is None:
         return None

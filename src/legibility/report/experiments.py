@@ -33,13 +33,7 @@ _PARALLEL = ("dial", "execution", "table1", "unseen", "ablations")
 class Experiment:
     """A measurement.
 
-    Attributes:
-        name: its result is `results/NAME.json`.
-        command: arguments of `legibility`.
-        weights: names of the shipped weights that the result records.
-        extras: extras of the package that must be installed.
-        data: a folder that must exist.
-        by_name: whether it runs only if it is named.
+    Its result is `results/NAME.json`; the other fields are explained in `experiments.toml`.
     """
 
     name: str

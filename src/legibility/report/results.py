@@ -27,13 +27,7 @@ Results = dict[str, dict[str, Document]]
 
 
 class Kind(NamedTuple):
-    """A kind of result.
-
-    Attributes:
-        title: of its part of the page.
-        section: its text and tables.
-        picture: the picture's alternative text, if it has one.
-    """
+    """A kind of result: its title, text and tables, and the picture's alternative text if any."""
 
     title: str
     section: Callable[[Document], list[Part]]

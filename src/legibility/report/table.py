@@ -21,13 +21,7 @@ class Bold(str):
 
 
 class Column(NamedTuple):
-    """The head of a column.
-
-    Attributes:
-        name: of the column.
-        left: whether cells are aligned left; numbers are aligned right.
-        group: name that neighbouring columns share, above their own.
-    """
+    """The head of a column, aligned `left` or right, under the `group` of its neighbours if any."""
 
     name: str
     left: bool = False
