@@ -105,7 +105,7 @@ def measured(
 def evaluate_table1(
     modulator: Modulator,
     policies: dict[str, GoalPolicy],
-    config: Table1Config | None = None,
+    config: Table1Config,
     *,
     workers: int = 1,
     cluster: str | None = None,
@@ -125,7 +125,6 @@ def evaluate_table1(
         of the archive's most legible trajectory itself, not executed; `tests`: see `compare`;
         `search`: number of curves that the two searches drew.
     """
-    config = config or Table1Config()
     contest, place = _contest(modulator, policies, config)
     units = place.spacing, place.unit
     times = contest.times(place.scene)
@@ -169,7 +168,7 @@ def evaluate_table1(
 def evaluate_unseen(
     modulator: Modulator,
     policies: dict[str, GoalPolicy],
-    config: UnseenConfig | None = None,
+    config: UnseenConfig,
     *,
     workers: int = 1,
     cluster: str | None = None,
@@ -186,7 +185,6 @@ def evaluate_unseen(
         with a dial, `spearman` and `error` of the executed ℓ; `goals`: number in each scene;
         `tests`: see `compare`, paired by scene; `search`: number of curves of the two searches.
     """
-    config = config or UnseenConfig()
     contest, place = _contest(modulator, policies, config)
     source = SceneStream("evaluation", contest.kind.dim, config.goals, config.seed)
     observer = modulator.config.observer

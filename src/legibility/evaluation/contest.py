@@ -38,17 +38,20 @@ class Method(NamedTuple):
     text: str
     dial: bool
     guided: bool = False
+    paper: str = ""  # name in the paper's Table I
 
 
 METHODS = {
     "straight line": Method("straight line", dial=False),
-    BASELINE: Method("Diffusion Policy", dial=False, guided=True),
-    "legibility diffuser": Method("Legibility Diffuser", dial=False, guided=True),
+    BASELINE: Method("Diffusion Policy", False, True, "Diffusion Policy"),
+    "legibility diffuser": Method("Legibility Diffuser", False, True, "Legibility Diffuser"),
     "search": Method("search, in the time of a plan", dial=True),
     "search, tenfold": Method("search, in ten times that", dial=True),
-    "modulator": Method("Legibility Modulator", dial=True),
-    "modulator, candidates": Method(f"the same, best of {CANDIDATES}", dial=True),
-    "oracle": Method("Dataset Oracle, executed", dial=True),
+    "modulator": Method("Legibility Modulator", dial=True, paper="Legibility Modulator"),
+    "modulator, candidates": Method(
+        f"the same, best of {CANDIDATES}", dial=True, paper="Legibility Modulator"
+    ),
+    "oracle": Method("Dataset Oracle, executed", dial=True, paper="Dataset Oracle"),
 }
 """The compared methods, in the order of the tables."""
 

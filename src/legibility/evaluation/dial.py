@@ -68,7 +68,7 @@ def worst(name: str, values: dict[str, float]) -> float | None:
 
 def evaluate_dial(
     modulator: Modulator,
-    config: DialConfig | None = None,
+    config: DialConfig,
     *,
     workers: int = 1,
     cluster: str | None = None,
@@ -91,7 +91,6 @@ def evaluate_dial(
         `levels`: the asked levels; `plan_ms`: the time of one plan on one core of this machine,
         before other work starts; `env`: the environment of a closed loop.
     """
-    config = config or DialConfig()
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
     source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
     levels = level_steps(config.levels)

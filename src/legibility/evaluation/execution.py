@@ -81,7 +81,7 @@ _NEAR = 0.05
 
 def evaluate_execution(
     modulator: Modulator,
-    config: ExecutionConfig | None = None,
+    config: ExecutionConfig,
     *,
     workers: int = 1,
     cluster: str | None = None,
@@ -105,7 +105,6 @@ def evaluate_execution(
         core; these three before other work starts;
         `env`; `disturbance` [m].
     """
-    config = config or ExecutionConfig()
     policy = modulator.path_policy
     if policy is None:
         raise InvalidInputError(f"the model {modulator.name} has no stage 2 to evaluate")

@@ -27,7 +27,7 @@ from .statistics import bootstrap_interval
 
 def evaluate_spectrum(
     modulator: Modulator,
-    config: SpectrumConfig | None = None,
+    config: SpectrumConfig,
     *,
     progress: Progress = silent,
 ) -> dict[str, Any]:
@@ -39,7 +39,6 @@ def evaluate_spectrum(
         `rising`, the number of levels whose mean cost is above that of the level before;
         `angles`, of the joints at the start.
     """
-    config = config or SpectrumConfig()
     kind = vector_type(config.env, modulator.config.dim)
     place = SCENES[kind.dim]
     levels = level_steps(config.levels)

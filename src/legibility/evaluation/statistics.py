@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -48,9 +49,9 @@ def paired_test(first: Array, second: Array) -> dict[str, float | list[float]]:
     apart = difference[np.abs(difference) > 1e-12 * scale]
     p, effect = 1.0, 0.0
     if number := len(apart):
-        p = float(wilcoxon(apart).pvalue)
-        positive = wilcoxon(apart, alternative="greater").statistic
-        effect = float(4 * positive / (number * (number + 1)) - 1)
+        test: Any = wilcoxon(apart)
+        positive: Any = wilcoxon(apart, alternative="greater")
+        p, effect = float(test.pvalue), 4 * float(positive.statistic) / (number * (number + 1)) - 1
     return {
         "p": p,
         "effect": effect,
@@ -75,8 +76,10 @@ def rank_correlation(asked: Array, achieved: Array) -> float:
 
     # Rounded, so that differences of rounding are ties.
     asked, achieved = np.round(asked, 9), np.round(achieved, 9)
-    varied = np.ptp(asked) > 0 and np.ptp(achieved) > 0
-    return float(spearmanr(asked, achieved).statistic) if varied else 0.0
+    if np.ptp(asked) == 0 or np.ptp(achieved) == 0:
+        return 0.0
+    result: Any = spearmanr(asked, achieved)
+    return float(result.statistic)
 
 
 def share_interval(happened: np.ndarray, level: float = 0.95) -> tuple[float, float]:

@@ -6,17 +6,9 @@ from typing import Any
 
 from ..evaluation.comparison import METRICS, TARGETS, TESTED, paper_rows
 from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
-from .sections import WORLDS, at_most, percent, scenes_of, three_digits
+from .sections import WORLDS, at_most, means, percent, scenes_of, three_digits
 from .table import Bold, Column, Part, Table, number
 
-_PAPER = {
-    "diffusion policy": "Diffusion Policy",
-    "legibility diffuser": "Legibility Diffuser",
-    "modulator": "Legibility Modulator",
-    "modulator, candidates": "Legibility Modulator",
-    "oracle": "Dataset Oracle",
-}
-"""The paper's row of a method."""
 _ARROWS: dict[str, str] = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
 _PLACES = {
@@ -107,11 +99,8 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
             METHODS[name].text,
             percent(method["success"]["mean"]),
             *ratios,
-            *(number(method[key]["mean"]) for key in ("length_ratio", "achieved")),
-            *(
-                number(method[key]["mean"], 4) if key in method else "–"
-                for key in ("spearman", "error")
-            ),
+            *means(method, ("length_ratio", "achieved"), 3),
+            *means(method, ("spearman", "error")),
         )
     return [
         f"{scenes_of(document)}, in {WORLDS[result['env']]}. L_d and L_p are of "
@@ -170,10 +159,10 @@ def _better(result: dict[str, Any], cell: str, method: str) -> bool:
 
 
 def _paper(paper: dict[str, dict[str, float | None]], name: str, letter: str, metric: str) -> str:
-    if name not in _PAPER:
+    if not METHODS[name].paper:
         return "–"
     key = f"{METRICS[metric]}_{letter}"
-    value, best = paper[_PAPER[name]][key], paper["Dataset Oracle"][key]
+    value, best = paper[METHODS[name].paper][key], paper["Dataset Oracle"][key]
     assert value
     assert best
     return f"{value:g} ({value / best:.2f})"

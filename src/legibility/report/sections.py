@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
 
@@ -50,6 +51,11 @@ def three_digits(value: float) -> str:
     return f"{value:.2e}" if 0 < abs(value) < 0.01 else f"{value:#.3g}".rstrip(".")
 
 
+def means(metrics: dict[str, Any], names: Iterable[str], digits: int = 4) -> list[str]:
+    """The means of some metrics, – for those that were not measured."""
+    return [number(metrics[n]["mean"], digits) if n in metrics else "–" for n in names]
+
+
 def dial_section(document: dict[str, Any]) -> list[Part]:
     """The metrics of `legibility evaluate dial`, of planned paths or of executed motions."""
     config, result = document["config"], document["result"]
@@ -84,8 +90,7 @@ def ablations_section(document: dict[str, Any]) -> list[Part]:
     config = document["config"]
     table = Table("change", *COLUMNS.values(), "one plan [ms]")
     for row in document["result"]["rows"].values():
-        means = (number(row["overall"][name]["mean"], 4) for name in COLUMNS)
-        table.add_row(row["text"], *means, number(row["plan_ms"], 1))
+        table.add_row(row["text"], *means(row["overall"], COLUMNS), number(row["plan_ms"], 1))
     return [
         f"Means over {scenes_of(document)}, {config['levels']} levels of ℓ, {config['samples']} "
         "samples of each. The first rows are the shipped weights under other settings of the "
@@ -112,7 +117,7 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
             ROWS[name].text,
             f"{mean} ({low} to {high})",
             percent(row["within_5_cm"]) if "within_5_cm" in row else "–",
-            *(number(row[k]["mean"], 4) if k in row else "–" for k in ("spearman", "error")),
+            *means(row, ("spearman", "error")),
             percent(row["deviation"]["mean"]),
             percent(row["replanned"]),
             ", ".join(f"{n:,} {reason}" for reason, n in early),
@@ -166,14 +171,14 @@ def spectrum_section(document: dict[str, Any]) -> list[Part]:
         table.add_row(number(level, 2), *cells)
     trends = []
     for letter, values in targets.items():
-        means = values["mean"]
+        costs = values["mean"]
         trend = "falls at every level"
         if values["rising"]:
-            most = max(after / before - 1 for before, after in pairwise(means))
-            trend = f"rises at {values['rising']} of {len(means) - 1} levels, by at most {most:.2%}"
+            most = max(after / before - 1 for before, after in pairwise(costs))
+            trend = f"rises at {values['rising']} of {len(costs) - 1} levels, by at most {most:.2%}"
         trends.append(
-            f"toward {letter} it {trend}, from {three_digits(means[0])} to "
-            f"{three_digits(means[-1])}, with {at_most(values['success'])} success"
+            f"toward {letter} it {trend}, from {three_digits(costs[0])} to "
+            f"{three_digits(costs[-1])}, with {at_most(values['success'])} success"
         )
     return [
         f"{config['rollouts']} motions at each of {config['levels']} levels of ℓ toward either "
