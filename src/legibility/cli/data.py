@@ -90,7 +90,7 @@ def data(
 
 
 def _draw(dataset: Dataset, figure: Path) -> None:
-    from ..figures.archive import archive_figure
+    from ..figures.plan import archive_figure
 
     config = dataset.config
     archive = config.source.archive(0, config.observer, config.cells)
