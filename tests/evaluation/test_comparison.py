@@ -159,7 +159,7 @@ class TestContest:
     def test_other_robots_are_refused(self, modulator, policies):
         other = GoalPolicy(GoalPolicyConfig(limit=0.03, channels=(8, 16), condition=16))
         with pytest.raises(InvalidInputError, match=r"0\.03"):
-            Contest(modulator, {**policies, GUIDED[0]: other}, KIND)
+            Contest(modulator, {**policies, GUIDED[0]: other}, KIND, (64, 640))
 
 
 def test_compare_tests_what_it_says():

@@ -30,7 +30,7 @@ from ..scene import Scene
 from ..seeds import plan_seeds
 from .common import Progress, level_steps, silent, world
 from .configuration import Table1Config, UnseenConfig
-from .contest import BASELINE, METHODS, OURS, Contest, Job, Motion
+from .contest import BASELINE, METHODS, OURS, Contest, Job, Motion, search_sizes
 from .statistics import (
     bootstrap_interval,
     holm,
@@ -239,12 +239,11 @@ def evaluate_unseen(
 def _contest(
     modulator: Modulator, policies: dict[str, GoalPolicy], config: Table1Config | UnseenConfig
 ) -> tuple[Contest, TableScene]:
-    """The contest, calibrated in the table's scene of its dimension, and that scene."""
+    """The contest, and the table's scene in which its searches were timed."""
     kind = vector_type(config.env, modulator.config.dim)
-    size = config.search_candidates
-    contest = Contest(modulator, policies, kind, (size, 10 * size) if size else None)
-    contest.calibrate(SCENES[kind.dim].scene)
-    return contest, SCENES[kind.dim]
+    place, size = SCENES[kind.dim], config.search_candidates
+    sizes = (size, 10 * size) if size else search_sizes(modulator, place.scene)
+    return Contest(modulator, policies, kind, sizes), place
 
 
 def _jobs(

@@ -74,6 +74,14 @@ class Motion(NamedTuple):
     reason: str
 
 
+@threads(1)
+def search_sizes(modulator: Modulator, scene: Scene) -> tuple[int, int]:
+    """Curves that fit in the time of a plan in `scene`, and in ten times that, on one core."""
+    plan, observer = plan_milliseconds(modulator, scene, repeats=25), modulator.config.observer
+    few, many = (candidates_within(factor * plan, scene, 0, observer) for factor in (1, 10))
+    return few, many
+
+
 class Contest:
     """All methods on the same scenes, levels, robots and seeds.
 
@@ -81,7 +89,7 @@ class Contest:
         modulator: both stages; stage 2 follows the paths of all methods that have one.
         policies: the goal-conditioned baselines by the name of their method.
         kind: vector environment.
-        sizes: curves that the two searches draw; set by `calibrate` if not given.
+        sizes: curves that the two searches draw.
 
     Raises:
         InvalidInputError: there is no stage 2, or a policy moves other robots.
@@ -92,7 +100,7 @@ class Contest:
         modulator: Modulator,
         policies: dict[str, GoalPolicy],
         kind: type[BlockReachVector],
-        sizes: tuple[int, int] | None = None,
+        sizes: tuple[int, int],
     ) -> None:
         policy = modulator.path_policy
         if policy is None:
@@ -107,20 +115,6 @@ class Contest:
         self.modulator, self.policies, self.kind = modulator, policies, kind
         self.policy, self.sizes = policy, sizes
         self.observer = modulator.config.observer
-
-    def calibrate(self, scene: Scene) -> None:
-        """Set the numbers of curves of the searches, unless they are given.
-
-        They are as many as fit in the time of a plan in `scene`, and in ten times that, on one
-        core.
-        """
-        if self.sizes is None:
-            plan = plan_milliseconds(self.modulator, scene, repeats=25)
-            with threads(1):
-                few, many = (
-                    candidates_within(factor * plan, scene, 0, self.observer) for factor in (1, 10)
-                )
-            self.sizes = few, many
 
     @threads(1)
     def times(self, scene: Scene) -> dict[str, dict[str, float]]:
@@ -155,7 +149,6 @@ class Contest:
         if name == "oracle":
             return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]
         if name.startswith("search"):
-            assert self.sizes is not None
             size = self.sizes[name != "search"]
             return [search(*job[:3], self.observer, size, job.plan_seed) for job in jobs]
         if name in OURS:
