@@ -9,6 +9,12 @@ from ..data.scenes import SceneStream
 from ..errors import InvalidInputError
 
 
+def _check_counts(config: object, **least: int) -> None:
+    """Raise unless the named fields are integers of at least these values."""
+    for name, low in least.items():
+        count(name, getattr(config, name), low=low)
+
+
 @dataclass(frozen=True)
 class HeldOutScenes:
     """Scenes of an evaluation.
@@ -54,9 +60,7 @@ class DialConfig(HeldOutScenes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        count("levels", self.levels, low=3)
-        count("samples", self.samples)
-        count("candidates", self.candidates, low=0)
+        _check_counts(self, levels=3, samples=1, candidates=0)
         if self.env is not None and not self.closed_loop:
             raise InvalidInputError(f"env {self.env} belongs to closed_loop, which is not asked")
 
@@ -105,9 +109,8 @@ class ComparisonConfig:
     search_candidates: int = 0
 
     def __post_init__(self) -> None:
-        count("rollouts", self.rollouts)
         random_seed("seed", self.seed)
-        count("search_candidates", self.search_candidates, low=0)
+        _check_counts(self, rollouts=1, search_candidates=0)
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ class Table1Config(ComparisonConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        count("rollouts", self.rollouts, low=2)
+        _check_counts(self, rollouts=2)
 
 
 @dataclass(frozen=True)
@@ -136,9 +139,8 @@ class UnseenConfig(ComparisonConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        count("scenes", self.scenes, low=2)
         SceneStream("evaluation", goals=self.goals, seed=self.seed)
-        count("levels", self.levels, low=3)
+        _check_counts(self, scenes=2, levels=3)
 
 
 @dataclass(frozen=True)
@@ -158,9 +160,8 @@ class SpectrumConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        count("levels", self.levels, low=3)
-        count("rollouts", self.rollouts, low=2)
         random_seed("seed", self.seed)
+        _check_counts(self, levels=3, rollouts=2)
 
 
 @dataclass(frozen=True)
@@ -187,8 +188,7 @@ class AblationsConfig(HeldOutScenes):
     scene_numbers: tuple[int, ...] = (200, 800, 12800)
 
     def __post_init__(self) -> None:
-        count("training_steps", self.training_steps)
-        count("training_scenes", self.training_scenes)
+        _check_counts(self, training_steps=1, training_scenes=1)
         for number in self.scene_numbers:
             count("scene_numbers", number)
         self.dial()  # checks the rest
