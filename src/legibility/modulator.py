@@ -328,12 +328,12 @@ class Modulator:
         self._check_fleet(fleet)
         off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for_each(legibility, fleet.size)
-        if paths is not None and (
-            len(paths) != fleet.size or not all(isinstance(path, Path) for path in paths)
-        ):
-            raise InvalidInputError(
-                f"paths must be a legibility.Path for each of {fleet.size} robots, got {paths}"
-            )
+        if paths is not None:
+            types = [type(path) for path in paths] if isinstance(paths, Sequence) else type(paths)
+            if types != [Path] * fleet.size:
+                raise InvalidInputError(
+                    f"paths must be a legibility.Path for each of {fleet.size} robots, got {types}"
+                )
         if targets is not None:
             fleet.set_targets(for_each("targets", targets, fleet.size))
 

@@ -16,8 +16,7 @@ from .drivers import Driver, RobotStates
 from .envs.fleet import Fleet
 from .envs.guard import safe_actions
 from .errors import InvalidInputError
-from .intent.belief import time_to_confidence
-from .intent.metrics import SCORE_POINTS
+from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .motion.path import Path
 from .motion.tracking import PathTracker
 

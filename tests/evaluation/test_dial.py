@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -34,8 +35,9 @@ EXECUTED = {"success", "deviation"}
 
 @pytest.fixture(autouse=True, scope="module")
 def quickly():
-    """A plan is timed twice, not two hundred times."""
+    """A plan is timed twice, not two hundred times, and an archive is built once for all tests."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SceneStream, "archive", functools.cache(SceneStream.archive))
         timed = functools.partial(dial.plan_milliseconds, repeats=2)
         patch.setattr(dial, "plan_milliseconds", timed)
         yield
@@ -44,11 +46,12 @@ def quickly():
 class Fake:
     """A modulator that picks its paths from an archive, `pick(rng, labels, asked)` says which."""
 
+    _known: ClassVar[dict] = {}
+
     def __init__(self, pick, dim=2, label="anchored"):
         self.config = PathDiffuserConfig(dim=dim, observer=lg.Observer(label=label))
         self.pick = pick
         self.scenes, self.options, self.asked = [], [], []
-        self._known = {}
 
     def plan(
         self,
@@ -63,15 +66,16 @@ class Fake:
     ):
         self.scenes.append(scene)
         self.options.append((guidance, steps))
-        if scene not in self._known:
+        observer = self.config.observer
+        if (scene, observer) not in self._known:
             # Another archive than the evaluation's own: its seed is another.
-            archive = lg.build_archive(scene, target, observer=self.config.observer, seed=99)
+            archive = lg.build_archive(scene, target, observer=observer, seed=99)
             paths = paths_of(archive)
             inside = scene.contains(path_curve(paths, SCORE_POINTS)).all(-1)
             paths = paths[inside]
             scores = archive.observer.score(path_curve(paths, SCORE_POINTS), scene, target)
-            self._known[scene] = archive, paths, archive.label_of(scores)
-        archive, paths, labels = self._known[scene]
+            self._known[scene, observer] = paths, archive.label_of(scores)
+        paths, labels = self._known[scene, observer]
         asked = np.atleast_1d(legibility)
         self.asked.append(asked)
         rng = np.random.default_rng([seed, 1])
@@ -81,7 +85,7 @@ class Fake:
         clipped = np.zeros(len(asked), dtype=bool)
         if np.ndim(legibility) == 0:
             chosen, clipped = chosen[0], clipped[0]
-        return Path(scene, target, np.asarray(legibility), chosen, clipped, self.config.observer)
+        return Path(scene, target, np.asarray(legibility), chosen, clipped, observer)
 
 
 def perfect(rng, labels, asked):

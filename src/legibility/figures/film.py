@@ -29,7 +29,7 @@ from scipy.spatial import KDTree
 from ..envs.colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
 from ..files import atomic_path
-from ..intent.belief import CONFIDENCE
+from ..intent.metrics import CONFIDENCE
 from ..rollout import Rollout
 from ..scene import Scene
 from .scene_axes import goal_colors

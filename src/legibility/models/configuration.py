@@ -50,7 +50,10 @@ class _NetworkConfig:
                 f"a {cls.__name__} has the settings {sorted(names)}; "
                 f"missing or unknown: {sorted(names ^ set(content))}"
             )
-        return cls(**{**content, "channels": tuple(content["channels"])})
+        values = {**content, "channels": tuple(content["channels"])}
+        if "observer" in names:
+            values["observer"] = Observer(**content["observer"])
+        return cls(**values)
 
 
 @dataclass(frozen=True)
@@ -105,11 +108,6 @@ class PathDiffuserConfig(_NetworkConfig):
                 )
         positive("squash", self.squash)
         bounded("guidance", self.guidance, -1e3, 1e3)
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Self:
-        """The inverse of `to_dict`; keys must match exactly."""
-        return super().from_dict({**content, "observer": Observer(**content["observer"])})
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,9 @@ def training_records(folder: Path) -> dict[str, TrainingRecord | None]:
     """
     try:
         return {
-            name: entry["training"] and TrainingRecord.from_dict(entry["training"])
+            name: None if record is None else TrainingRecord.from_dict(record)
             for name, entry in _read_config(folder).items()
+            for record in [entry["training"]]
         }
     except (TypeError, KeyError, AttributeError) as cause:
         raise CheckpointError(
