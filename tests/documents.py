@@ -1,7 +1,8 @@
 """Results as `legibility` writes them, with made-up numbers."""
 
-from legibility.evaluation.comparison import METHODS, OURS, TESTED
 from legibility.evaluation.comparison import METRICS as MOTION_METRICS
+from legibility.evaluation.comparison import TESTED
+from legibility.evaluation.contest import METHODS, OURS
 from legibility.evaluation.dial import METRICS
 from legibility.evaluation.execution import ROWS
 

@@ -12,26 +12,26 @@ from legibility.curves import spaced
 from legibility.envs import vector_type
 from legibility.errors import InvalidInputError
 from legibility.evaluation.comparison import (
-    BASELINE,
-    METHODS,
     METRICS,
-    OURS,
+    SCENES,
+    TARGETS,
     TESTED,
-    Contest,
-    Job,
     compare,
+    evaluate_table1,
+    evaluate_unseen,
     measured,
+    paper_rows,
 )
 from legibility.evaluation.configuration import SpectrumConfig, Table1Config, UnseenConfig
+from legibility.evaluation.contest import BASELINE, METHODS, OURS, Contest, Job
 from legibility.evaluation.spectrum import Spectrum, evaluate_spectrum
-from legibility.evaluation.table1 import SCENES, TARGETS, evaluate_table1, paper_rows
-from legibility.evaluation.unseen import evaluate_unseen
 from legibility.models.configuration import GoalPolicyConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.goal_policy import GoalPolicy
 from legibility.modulator import Modulator
 from legibility.parallel import pool
-from legibility.report.comparison import spectrum_section, table1_section, unseen_section
+from legibility.report.comparison import table1_section, unseen_section
+from legibility.report.sections import spectrum_section
 from legibility.report.table import markdown
 
 GUIDED = [name for name, method in METHODS.items() if method.guided]
@@ -88,8 +88,8 @@ class TestMeasured:
         )
         goal = place.scene.goals[TARGETS[letter]]
         line = np.linspace(place.scene.start, goal, 57)
-        found = measured(line, place.scene, archive, place.spacing)
-        assert place.unit * found["distance_score"] == pytest.approx(wanted, abs=5e-4)
+        found = measured(line, archive, place.spacing, place.unit)
+        assert found["distance_score"] == pytest.approx(wanted, abs=5e-4)
         assert found["length_ratio"] == pytest.approx(1)
         assert found["achieved"] == pytest.approx(0, abs=1e-6)
         assert list(found) == list(METRICS)
@@ -100,7 +100,7 @@ class TestMeasured:
         t = np.linspace(0, 1, 3001)[:, None]
         curve = place.scene.start + t * (place.scene.goals[0] - place.scene.start)
         curve[:, 1] += 0.2 * np.sin(np.pi * t[:, 0])
-        one, two = (measured(curve[::n], place.scene, archive, 0.04) for n in (1, 10))
+        one, two = (measured(curve[::n], archive, 0.04) for n in (1, 10))
         for metric in ("distance_score", "potential_cost", "achieved"):
             assert one[metric] == pytest.approx(two[metric], rel=2e-3)
 
@@ -159,7 +159,7 @@ class TestContest:
     def test_other_robots_are_refused(self, modulator, policies):
         other = GoalPolicy(GoalPolicyConfig(limit=0.03, channels=(8, 16), condition=16))
         with pytest.raises(InvalidInputError, match=r"0\.03"):
-            Contest(modulator, {**policies, GUIDED[0]: other}, KIND)
+            Contest(modulator, {**policies, GUIDED[0]: other}, KIND, (64, 640))
 
 
 def test_compare_tests_what_it_says():

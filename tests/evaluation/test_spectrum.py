@@ -11,8 +11,8 @@ from legibility.drivers import Feedback
 from legibility.envs import vector_type
 from legibility.envs.fleet import Fleet
 from legibility.errors import InvalidInputError, OutputError
+from legibility.evaluation.comparison import SCENES
 from legibility.evaluation.spectrum import Spectrum
-from legibility.evaluation.table1 import SCENES
 from legibility.figures.spectrum import spectrum_figure
 from legibility.intent.metrics import potential_cost
 from legibility.rollout import follow

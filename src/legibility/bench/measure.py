@@ -1,14 +1,17 @@
-"""The bench's measurements; each function returns rows, see `run_bench`."""
+"""The measurements of the bench, robust to background load; rows are those of `run_bench`."""
 
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import platform
 import re
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +22,7 @@ import torch
 from ..data.configuration import DatasetConfig
 from ..data.dataset import Dataset, generate
 from ..envs import vector_type
-from ..errors import MissingExtraError
+from ..errors import MissingExtraError, WorkerError
 from ..evaluation.execution import step_milliseconds
 from ..modulator import BACKENDS, Modulator
 from ..motion.archive import build_archive
@@ -29,18 +32,40 @@ from ..seeds import stream_seed
 from ..training.configuration import PathTrainingConfig
 from ..training.path import train_path
 from ..training.team import choose_device
-from .process import process_metrics
 from .run import BenchConfig
-from .timing import Work, interleaved, summary, timed
 
 Rows = list[dict[str, Any]]
 Backends = dict[str, Modulator]
-Entry = tuple[dict[str, Any], Work, int | None]
-"""The conditions of a row, the work to time, and its number of items if the metric is a rate."""
+Work = Callable[[], list[float]]
+"""Runs once and returns the durations of its repetitions [s]."""
+Entry = tuple[str, dict[str, Any], Work, int | None]
+"""A metric, its conditions, the work to time, and the number of items if the metric is a rate."""
 
 _GOALS = 4
 _SCENES = 100  # more than the modulator caches
 _WARM_UP = 8  # training steps until memory is allocated
+
+# Peak memory is that of /proc: `resource` counts the parent's memory at the fork too.
+_CHILD = """
+import json, re, sys, time
+times = [time.perf_counter()]
+import legibility
+times.append(time.perf_counter())
+modulator = legibility.Modulator.from_pretrained(sys.argv[1], backend=sys.argv[2])
+times.append(time.perf_counter())
+import numpy
+scene = legibility.Scene.random(numpy.random.default_rng(0), dim=modulator.config.dim, num_goals=4)
+modulator.plan(scene, 0, 0.5)
+times.append(time.perf_counter())
+names = ["import_ms", "load_ms", "first_plan_ms"]
+metrics = {n: 1e3 * (b - a) for n, a, b in zip(names, times, times[1:])}
+try:
+    with open("/proc/self/status") as file:
+        metrics["memory_mb"] = int(re.search(r"VmHWM:\\s+(\\d+) kB", file.read())[1]) / 1024
+except OSError:
+    pass
+print(json.dumps(metrics))
+"""
 
 
 def machine(device: str) -> dict[str, Any]:
@@ -81,9 +106,9 @@ def plans(name: str, backends: Backends, config: BenchConfig) -> Rows:
         at = {"model": name, "backend": backend}
         for batch, goals in sizes:
             plan = timed(_planning(model, batch, goals))
-            entries.append(_entry("plan_ms", plan, {**at, "batch": batch, "goals": goals}))
+            entries.append(("plan_ms", {**at, "batch": batch, "goals": goals}, plan, None))
         alone = threads(1)(timed(_planning(model, 1, _GOALS)))
-        entries.append(_entry("plan_one_core_ms", alone, at))
+        entries.append(("plan_one_core_ms", at, alone, None))
     return _measured(entries, config)
 
 
@@ -105,9 +130,8 @@ def motions(name: str, backends: Backends, config: BenchConfig) -> Rows:
     entries: list[Entry] = []
     for backend, model in backends.items():
         at = {"model": name, "backend": backend}
-        entries.append(_entry("control_step_ms", partial(step, model), at))
-        rollouts = timed(partial(roll_out, model))
-        entries.append(_entry("rollouts_per_second", rollouts, at, robots))
+        entries.append(("control_step_ms", at, partial(step, model), None))
+        entries.append(("rollouts_per_second", at, timed(partial(roll_out, model)), robots))
     return _measured(entries, config)
 
 
@@ -115,11 +139,10 @@ def data(dim: int, config: BenchConfig) -> Rows:
     """One archive, and a dataset by one process."""
     scene = _scenes(dim, _GOALS)[0]
     archive, candidates = timed(lambda: build_archive(scene)), build_archive(scene).num_candidates
-    dataset = timed(lambda: _dataset(dim, config))
-    entries = [
-        _entry("archive_ms", archive, {"dim": dim}),
-        _entry("candidates_per_second", archive, {"dim": dim}, candidates),
-        _entry("scenes_per_second", dataset, {"dim": dim}, config.dataset),
+    entries: list[Entry] = [
+        ("archive_ms", {"dim": dim}, archive, None),
+        ("candidates_per_second", {"dim": dim}, archive, candidates),
+        ("scenes_per_second", {"dim": dim}, timed(lambda: _dataset(dim, config)), config.dataset),
     ]
     return _measured(entries, config)
 
@@ -144,10 +167,10 @@ def training(dim: int, config: BenchConfig) -> Rows:
             )  # fmt: skip
         return np.diff(ends[_WARM_UP - 1 : -1]).tolist()  # the last step also validates
 
-    entries: list[Entry] = []
-    for name, precision in {"float32": "no", "bf16": "bf16"}.items():
-        at, steps = {"dim": dim, "precision": name}, partial(train, precision)
-        entries.append(_entry("training_steps_per_second", steps, at, 1))
+    entries: list[Entry] = [
+        ("training_steps_per_second", {"dim": dim, "precision": n}, partial(train, precision), 1)
+        for n, precision in (("float32", "no"), ("bf16", "bf16"))
+    ]
     return _measured(entries, config, warm_up=False)
 
 
@@ -164,18 +187,15 @@ def processes(models: Mapping[str, Backends], config: BenchConfig) -> Rows:
     return [*rows, {"metric": "import_ms", **summary(imports)}]
 
 
-def _entry(metric: str, work: Work, at: dict[str, Any], number: int | None = None) -> Entry:
-    return {"metric": metric, **at}, work, number
-
-
 def _measured(entries: list[Entry], config: BenchConfig, *, warm_up: bool = True) -> Rows:
     """Rows in milliseconds, or in items a second where an entry has a number of them."""
-    works = [work for _, work, _ in entries]
+    works = [work for _, _, work, _ in entries]
     times = interleaved(works, config.seconds, config.rounds, warm_up=warm_up)
-    return [
-        {**row, **summary([number / t if number else 1e3 * t for t in durations])}
-        for (row, _, number), durations in zip(entries, times, strict=True)
-    ]
+    rows: Rows = []
+    for (metric, at, _, number), durations in zip(entries, times, strict=True):
+        values = [number / t if number else 1e3 * t for t in durations]
+        rows.append({"metric": metric, **at, **summary(values)})
+    return rows
 
 
 @cache
@@ -199,3 +219,77 @@ def _planning(modulator: Modulator, batch: int, goals: int) -> Callable[[], obje
 def _dataset(dim: int, config: BenchConfig) -> Dataset:
     with tempfile.TemporaryDirectory() as folder:
         return generate(DatasetConfig(dim=dim, scenes=config.dataset), Path(folder) / "data")
+
+
+def process_metrics(model: str, backend: str) -> dict[str, float]:
+    """Metrics of one process on as many threads as PyTorch has here.
+
+    Returns:
+        `import_ms` of `import legibility`; `load_ms` from there until the model is loaded, PyTorch
+        included; `first_plan_ms`; on Linux `memory_mb`, the peak resident memory [MB].
+
+    Raises:
+        WorkerError: the process failed.
+    """
+    run = subprocess.run(
+        [sys.executable, "-P", "-W", "ignore", "-c", _CHILD, model, backend],
+        env={**os.environ, "OMP_NUM_THREADS": str(torch.get_num_threads())},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if run.returncode:
+        reason = (run.stderr.strip().splitlines() or ["it wrote no error"])[-1]
+        raise WorkerError(f"the process that loads {model} on {backend} failed: {reason}")
+    return json.loads(run.stdout.splitlines()[-1])
+
+
+def timed(call: Callable[[], object]) -> Work:
+    """`call` as work of one repetition."""
+
+    def work() -> list[float]:
+        started = time.perf_counter()
+        call()
+        return [time.perf_counter() - started]
+
+    return work
+
+
+def interleaved(
+    works: Sequence[Work], seconds: float, rounds: int, *, warm_up: bool = True
+) -> list[list[float]]:
+    """Durations [s] of each of `works`, which take turns: background load hits all alike.
+
+    Args:
+        works: to time.
+        seconds: least time spent on each in a round; at least one run.
+        rounds: number of turns of each.
+        warm_up: run each once before, which does not count.
+    """
+    if warm_up:
+        for work in works:
+            work()
+    times: list[list[float]] = [[] for _ in works]
+    for _ in range(rounds):
+        for work, durations in zip(works, times, strict=True):
+            started = time.perf_counter()
+            durations += work()
+            while time.perf_counter() - started < seconds:
+                durations += work()
+    return times
+
+
+def summary(values: Sequence[float]) -> dict[str, Any]:
+    """Median of `values`, its 95 % interval `low` to `high`, and their number, `calls`.
+
+    The interval lies between two order statistics, which is exact for independent values of any
+    distribution; for fewer than six values it is their range.
+    """
+    from scipy.stats import binom
+
+    ordered = np.sort(np.asarray(values, dtype=np.float64))
+    skipped = max(0, int(binom.ppf(0.025, len(ordered), 0.5)) - 1)
+    return {
+        "median": float(np.median(ordered)),
+        "low": float(ordered[skipped]),
+        "high": float(ordered[-1 - skipped]),
+        "calls": len(ordered),
+    }

@@ -11,8 +11,6 @@ from ..checks import count, positive
 from ..errors import InvalidInputError, MissingExtraError
 from ..parallel import threads
 
-__all__ = ["BenchConfig", "run_bench"]
-
 
 @dataclass(frozen=True)
 class BenchConfig:

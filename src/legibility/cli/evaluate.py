@@ -81,7 +81,7 @@ def table1(
     same and in ten times the time, and the archive's most legible trajectory.
     """
     settings = _checked(configuration.Table1Config, evaluation, json)
-    from ..evaluation.table1 import evaluate_table1
+    from ..evaluation.comparison import evaluate_table1
 
     _compare("table1", evaluate_table1, settings, workers, contestants, json)
 
@@ -91,7 +91,7 @@ def unseen(
 ) -> None:
     """The methods of table1 on held-out scenes, relative to each scene's oracle."""
     settings = _checked(configuration.UnseenConfig, evaluation, json)
-    from ..evaluation.unseen import evaluate_unseen
+    from ..evaluation.comparison import evaluate_unseen
 
     _compare("unseen", evaluate_unseen, settings, workers, contestants, json)
 

@@ -1,4 +1,4 @@
-"""What each part of stage 1 is worth: the dial without it, or with more or less of it."""
+"""Ablations of stage 1: the dial without a part of it, or with more or less of it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 from ..data.configuration import DatasetConfig
 from ..data.dataset import Dataset, generate
-from ..data.shards import SHARD
 from ..errors import InvalidInputError
 from ..files import file_hash, write_json
 from ..models.configuration import PathDiffuserConfig
@@ -22,8 +21,6 @@ from ..training.team import choose_device
 from .configuration import AblationsConfig, DialConfig
 from .dial import evaluate_dial
 
-__all__ = ["COLUMNS", "Variant", "evaluate_ablations", "variants"]
-
 COLUMNS = {
     "spearman": "Spearman",
     "error": "error of ℓ",
@@ -31,11 +28,11 @@ COLUMNS = {
     "at_-1": "ℓ when asked −1",
     "length_ratio_at_0": "length when asked 0",
 }
-"""Heads of the dial's metrics in the table of the rows."""
+"""Headings of the dial's metrics in the table of the rows."""
 
 
 class Variant(NamedTuple):
-    """A row: the weights as they are, sampled in some way, or a small run on `scenes` scenes."""
+    """A row: the given weights, sampled in some way, or a small run on `scenes` scenes."""
 
     text: str
     steps: int | None = None
@@ -46,19 +43,20 @@ class Variant(NamedTuple):
 
 
 def variants(config: AblationsConfig, model: PathDiffuserConfig) -> dict[str, Variant]:
-    """The rows by name; what is no other than the weights as they are, or the reference, is not.
+    """The rows by name, without those that repeat the given weights or the reference.
 
     Raises:
         InvalidInputError: the model cannot be sampled so.
     """
-    own = f"sampling steps {model.sampling_steps}, guidance {model.guidance:g}"
-    rows = {"as-shipped": Variant(f"the weights as they are: {own}")}
-    for steps in config.sampling_steps:
-        if not model.distilled and replace(model, sampling_steps=steps) != model:
-            rows[f"steps-{steps}"] = Variant(f"sampling steps {steps}", steps=steps)
-    for guidance in config.guidance:
-        if not model.distilled and replace(model, guidance=guidance) != model:
-            rows[f"guidance-{guidance:g}"] = Variant(f"guidance {guidance:g}", guidance=guidance)
+    sampling = f"sampling steps {model.sampling_steps}, guidance {model.guidance:g}"
+    rows = {"as-shipped": Variant(f"the weights as they are: {sampling}")}
+    if not model.distilled:
+        for steps in config.sampling_steps:
+            if replace(model, sampling_steps=steps) != model:
+                rows[f"steps-{steps}"] = Variant(f"sampling steps {steps}", steps=steps)
+        for weight in config.guidance:
+            if replace(model, guidance=weight) != model:
+                rows[f"guidance-{weight:g}"] = Variant(f"guidance {weight:g}", guidance=weight)
     size = config.training_scenes
     rows["reference"] = Variant(f"small run: {size:,} training scenes", scenes=size)
     rows["without-field"] = Variant("small run without the field", scenes=size, field=False)
@@ -80,56 +78,53 @@ def evaluate_ablations(
 ) -> dict[str, Any]:
     """Measure the dial of each of `variants`, training the small runs among them.
 
-    A small run has the network of `model` and is trained with the settings of `PathTrainingConfig`
-    except for its steps. Interrupted, the same call resumes: it keeps the datasets, runs and rows
-    in `folder`.
+    A small run has the network of `model` and the settings of `PathTrainingConfig`, apart from its
+    steps. Interrupted, the same call resumes: datasets, runs and rows in `folder` are kept.
 
     Args:
         model: name of weights that came with the package, or a folder.
-        data: anchored labelled trajectories that small runs learn the first scenes of.
-        folder: of rank-labelled and validation data, and of each row: a small run's checkpoint, log
-            and weights, and what was measured.
-        config: what is evaluated.
+        data: labelled trajectories with anchored labels; small runs learn their first scenes.
+        folder: of rank-labelled and validation data, and of each row: checkpoint, log and weights
+            of a small run, and the measured dial.
+        config: the rows and their measurement.
         workers: processes that make data.
-        device: where small runs are trained; a GPU where there is one.
-        progress: called with the scenes made and measured and the optimiser steps done, their
-            number in all, and a line once a row is measured.
+        device: of small runs; a GPU where there is one.
+        progress: called with the number of scenes and optimiser steps done, that of all, and a line
+            for each row.
 
     Returns:
         `rows`: of each variant its `text`, whether it is `small_run`, `sha256` of its weights,
         `overall` and `plan_ms` as of `evaluate_dial`; `data`: digest of the training data.
 
     Raises:
-        InvalidInputError: the data are not for this model, or too few.
+        InvalidInputError: the data are of another observer than the model, or too few.
         CheckpointError: the folder holds runs with other settings.
     """
     config, folder = config or AblationsConfig(), Path(folder)
-    modulator = Modulator.from_pretrained(model)
-    rows = variants(config, modulator.config)
-    _check(data, modulator.config)
+    network = Modulator.from_pretrained(model).config
+    rows = variants(config, network)
+    _check(data, network)
     choose_device(device)  # refused before anything is made
     parts = {number: data.first(number) for number in {v.scenes for v in rows.values()} if number}
-
-    small = [variant for variant in rows.values() if variant.scenes]
-    made = {
+    sources = {
         "validation": data.config.for_validation(),
         "rank-data": _on_rank_labels(parts[config.training_scenes].config),
         "rank-validation": _on_rank_labels(data.config.for_validation()),
     }
-    total = sum(-(-source.scenes // SHARD) * SHARD for source in made.values())
-    total += len(rows) * config.scenes + len(small) * config.training_steps
+    steps = config.training_steps * sum(bool(variant.scenes) for variant in rows.values())
+    total = steps + sum(s.scenes for s in sources.values()) + len(rows) * config.scenes
     done = 0
 
     def part(size: int) -> Callable[..., None]:
-        """The progress of the next part, in which there is `size` to do."""
+        """The progress of the next part, of `size` scenes or steps."""
         nonlocal done
         start, done = done, done + size
         return lambda now, of, *_: progress(start + size * now // of, total, "")
 
-    sets = {}
-    for name, source in made.items():
-        size = -(-source.scenes // SHARD) * SHARD
-        sets[name] = generate(source, folder / name, workers=workers, progress=part(size))
+    sets = {
+        name: generate(source, folder / name, workers=workers, progress=part(source.scenes))
+        for name, source in sources.items()
+    }
     result = {}
     for name, variant in rows.items():
         weights = pretrained_folder(model)
@@ -138,47 +133,31 @@ def evaluate_ablations(
             weights = _trained(
                 sets["rank-data"] if rank else parts[variant.scenes],
                 sets["rank-validation" if rank else "validation"],
-                replace(_undistilled(modulator.config), field=variant.field),
+                replace(network, field=variant.field),
                 PathTrainingConfig(steps=config.training_steps),
                 folder / name,
                 device,
                 part(config.training_steps),
             )
-        found = _measured(
-            weights,
-            config.dial(variant.steps, variant.guidance),
-            folder / name / "dial.json",
-            part(config.scenes),
-        )
-        result[name] = {"text": variant.text, "small_run": bool(variant.scenes), **found}
-        overall = found["overall"]
-        metrics = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
+        settings = config.dial(variant.steps, variant.guidance)
+        dial = _measured(weights, settings, folder / name / "dial.json", part(config.scenes))
+        result[name] = {"text": variant.text, "small_run": bool(variant.scenes), **dial}
+        metrics = [f"{key} {dial['overall'][key]['mean']:.4f}" for key in ("spearman", "error")]
         progress(done, total, f"{variant.text}: {', '.join(metrics)}")
     return {"rows": result, "data": data.digest}
 
 
 def _check(data: Dataset, model: PathDiffuserConfig) -> None:
-    for name, value, wanted in (
-        ("stream", data.config.stream, "train"),
-        ("label", data.config.observer.label, "anchored"),
-    ):
-        if value != wanted:
-            raise InvalidInputError(f"the data must have {name} {wanted}, theirs is {value}")
+    stream, label = data.config.stream, data.config.observer.label
+    if (stream, label) != ("train", "anchored"):
+        raise InvalidInputError(
+            f"the data must have stream train and label anchored, theirs are {stream} and {label}"
+        )
     check_data(model, data, data)
 
 
 def _on_rank_labels(config: DatasetConfig) -> DatasetConfig:
     return replace(config, observer=replace(config.observer, label="rank"))
-
-
-def _undistilled(model: PathDiffuserConfig) -> PathDiffuserConfig:
-    """The network of a model, sampled as a teacher is by default."""
-    if not model.distilled:
-        return model
-    teacher = PathDiffuserConfig()
-    return replace(
-        model, distilled=False, sampling_steps=teacher.sampling_steps, guidance=teacher.guidance
-    )
 
 
 def _trained(
@@ -190,8 +169,12 @@ def _trained(
     device: str | None,
     progress: Callable[..., None],
 ) -> Path:
-    """Train a small run in `folder`, or go on with it; the folder of its weights."""
+    """Train a small run, or resume it; the folder of its weights."""
     settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
+    if network.distilled:  # a small run is sampled as a teacher is by default
+        teacher = PathDiffuserConfig()
+        settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
+                     "guidance": teacher.guidance}  # fmt: skip
     trained = train_path(
         data, validation, folder, training, device=device, progress=progress, **settings
     )
@@ -202,7 +185,7 @@ def _trained(
 def _measured(
     weights: Path, config: DialConfig, file: Path, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """The dial of `weights`, or what `file` holds if it is of the same; it is kept there."""
+    """The dial of `weights`, kept in `file` and read from there if it is of these settings."""
     sha256 = file_hash(weights / "path.safetensors")
     of = {"sha256": sha256, "config": asdict(config)}
     try:
@@ -211,7 +194,7 @@ def _measured(
             return kept["result"]
     except (OSError, ValueError, LookupError, TypeError):
         pass  # not measured yet
-    found = evaluate_dial(Modulator.from_pretrained(weights), config, progress=progress)
-    result = {"sha256": sha256, "overall": found["overall"], "plan_ms": found["plan_ms"]}
+    dial = evaluate_dial(Modulator.from_pretrained(weights), config, progress=progress)
+    result = {"sha256": sha256, "overall": dial["overall"], "plan_ms": dial["plan_ms"]}
     write_json(file, {"of": of, "result": result})
     return result

@@ -1,19 +1,19 @@
-"""The paired comparison of the modulator with its baselines on executed motions."""
+"""The paired comparison of the modulator with its baselines: Table I and held-out scenes."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+import csv
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..baselines.guided import GuidedPolicy
-from ..baselines.planners import archive_path, candidates_within, search, straight_path
 from ..checks import Array
 from ..curves import arc_length, resample, spaced
-from ..drivers import Driver, Policy, RobotStates
-from ..envs.block_reach import BlockReachVector
+from ..data.scenes import SceneStream
+from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..intent.metrics import (
     SCORE_POINTS,
@@ -25,116 +25,75 @@ from ..intent.metrics import (
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
-from ..motion.path import Path
-from ..parallel import Each, threads
-from ..rollout import Rollout
+from ..parallel import pool
 from ..scene import Scene
-from .statistics import holm, paired_test
-
-__all__ = [
-    "BASELINE",
-    "CANDIDATES",
-    "METHODS",
-    "METRICS",
-    "OURS",
-    "TESTED",
-    "Contest",
-    "Job",
-    "Metric",
-    "Motion",
-    "compare",
-    "measured",
-]
-
-CANDIDATES = 64
-"""Paths drawn by the modulator's second row, which takes the best."""
-
-OURS = ("modulator", "modulator, candidates")
-BASELINE = "diffusion policy"
-"""The method without any notion of legibility; bold cells differ from it (paper, Table I)."""
-
-_REPEATS = 25
-
-
-class Method(NamedTuple):
-    """A way to the goal: a path that stage 2 follows, or a policy.
-
-    Attributes:
-        text: name in tables.
-        dial: whether it takes an ℓ.
-        guided: whether it is a policy, without a path.
-    """
-
-    text: str
-    dial: bool
-    guided: bool = False
-
-
-METHODS = {
-    "straight line": Method("straight line", dial=False),
-    BASELINE: Method("Diffusion Policy", dial=False, guided=True),
-    "legibility diffuser": Method("Legibility Diffuser", dial=False, guided=True),
-    "search": Method("search, in the time of a plan", dial=True),
-    "search, tenfold": Method("search, in ten times that", dial=True),
-    "modulator": Method("Legibility Modulator", dial=True),
-    "modulator, candidates": Method(f"the same, best of {CANDIDATES}", dial=True),
-    "oracle": Method("Dataset Oracle, executed", dial=True),
-}
-"""The compared methods, in the order of the tables."""
-
-
-class Metric(NamedTuple):
-    """A metric of a motion, and whether higher is better."""
-
-    text: str
-    higher: bool | None
-
+from ..seeds import plan_seeds
+from .common import Progress, level_steps, silent, world
+from .configuration import Table1Config, UnseenConfig
+from .contest import BASELINE, METHODS, OURS, Contest, Job, Motion, search_sizes
+from .statistics import (
+    bootstrap_interval,
+    holm,
+    paired_test,
+    rank_correlation,
+    share_interval,
+    summary,
+)
 
 METRICS = {
-    "distance_score": Metric("L_d", True),
-    "potential_cost": Metric("L_p", False),
-    "length_ratio": Metric("length over the straight line's", None),
-    "achieved": Metric("achieved ℓ", True),
-    "time_to_confidence": Metric("time to confidence", False),
-    "dragan_legibility": Metric("Dragan's legibility", True),
+    "distance_score": "L_d",
+    "potential_cost": "L_p",
+    "length_ratio": "length over the straight line's",
+    "achieved": "achieved ℓ",
+    "time_to_confidence": "time to confidence",
+    "dragan_legibility": "Dragan's legibility",
 }
-"""The metrics of a motion."""
+"""The metrics of a motion, and their names in tables."""
 
-TESTED = ("distance_score", "potential_cost")
-"""The paper's two metrics, which are tested."""
+TESTED = {"distance_score": 1, "potential_cost": -1}
+"""The paper's two metrics, which are tested; 1 if higher is better, −1 if lower."""
+
+TARGETS = {"R": 0, "G": 1}
+"""The paper's red and green block, and their index."""
 
 
-class Job(NamedTuple):
-    """A motion to execute, with the seeds that all methods share."""
+class TableScene(NamedTuple):
+    """A scene of the table, with goals R and G, and the units of its metrics."""
 
     scene: Scene
-    target: int
-    level: float
-    env_seed: int
-    plan_seed: int
+    spacing: float  # between the points that the paper's two metrics sum over [m]
+    unit: float  # length of one metre in the table's L_d
 
 
-class Motion(NamedTuple):
-    """An executed motion: states `(T, D)` [m], success and end reason."""
+SCENES = {
+    2: TableScene(Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]), spacing=0.04, unit=0.5),
+    3: TableScene(
+        Scene([-0.26, 0, 0.22], [[0.04, -0.09, 0.02], [0.04, 0.09, 0.02]]), spacing=0.02, unit=1.0
+    ),
+}
+"""By dimension. That of the plane is read off the paper's figure; its simulator has half a metre to
+a unit and points 2 cm apart, so that the straight line's L_d is 1.546 and 1.201 (the paper's
+Diffusion Policy: 1.54 and 1.23). That of the arm is ours: the paper gives no coordinates."""
 
-    states: Array
-    success: bool
-    reason: str
+_LEAST = {"distance_score": 0.0, "potential_cost": 1e-9}
+"""Lower bounds of the metrics: in the clearest scenes nothing is left to compare."""
 
 
-def measured(states: Array, scene: Scene, archive: Archive, spacing: float) -> dict[str, float]:
+def measured(
+    states: Array, archive: Archive, spacing: float, unit: float = 1.0
+) -> dict[str, float]:
     """`METRICS` of one motion `(T, D)` [m], its points a control step apart.
 
-    The paper's two are sums over points, here at equal `spacing` [m] along the motion. A time to
-    confidence that is never reached counts as 1, the end.
+    The paper's two are sums over points, here at equal `spacing` [m] along the motion, and a metre
+    is `unit` in L_d. A time to confidence that is never reached counts as 1, the end.
     """
-    field, target = archive.field, archive.target
+    scene, field, target = archive.scene, archive.field, archive.target
     points = spaced(states, spacing)
     confident = float(time_to_confidence(field.posterior(states), target))
     straight = np.linalg.norm(scene.target(target) - scene.start)
     score = archive.observer.score(resample(states, SCORE_POINTS), scene, target)
     return {
-        "distance_score": float(distance_score(points, scene.goals, target)),
+        "distance_score": unit * float(distance_score(points, scene.goals, target)),
         "potential_cost": float(potential_cost(points, field, target)),
         "length_ratio": float(arc_length(states) / straight),
         "achieved": float(archive.label_of(score)),
@@ -143,188 +102,181 @@ def measured(states: Array, scene: Scene, archive: Archive, spacing: float) -> d
     }
 
 
-class Contest:
-    """All methods on the same scenes, levels, robots and seeds.
+def evaluate_table1(
+    modulator: Modulator,
+    policies: dict[str, GoalPolicy],
+    config: Table1Config,
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Execute every method with ℓ = 1 in the table's scene, toward R and toward G.
 
-    Args:
-        modulator: both stages; stage 2 follows the paths of all methods that have one.
-        policies: the goal-conditioned baselines by the name of their method.
-        kind: vector environment.
-        sizes: curves that the two searches draw; set by `calibrate` if not given.
+    Rollouts are paired: the n-th of each method has the same robot and the same seeds. The metrics
+    do not depend on the number of workers.
+
+    Arguments as of `evaluate_dial`; the model needs both stages, `policies` are the baselines by
+    the name of their method.
+
+    Returns:
+        `methods`: for each its times and, toward either target, success with interval, end reasons,
+        `METRICS` with mean and interval, and all values of the tested ones; `oracle`: the metrics
+        of the archive's most legible trajectory itself, not executed; `tests`: see `compare`;
+        `search`: number of curves that the two searches drew.
     """
-
-    def __init__(
-        self,
-        modulator: Modulator,
-        policies: dict[str, GoalPolicy],
-        kind: type[BlockReachVector],
-        sizes: tuple[int, int] | None = None,
-    ) -> None:
-        policy = modulator.path_policy
-        if policy is None:
-            raise InvalidInputError(f"the model {modulator.name} has no stage 2 to compare")
-        for name, config in {
-            modulator.name: policy.config, **{n: p.config for n, p in policies.items()}
-        }.items():  # fmt: skip
-            if (config.dim, config.limit) != (kind.dim, kind.max_displacement):
-                raise InvalidInputError(
-                    f"{name} acts in {config.dim}D within {config.limit} m a step, "
-                    f"{kind.__name__.removesuffix('Vector')} in {kind.dim}D within "
-                    f"{kind.max_displacement} m"
-                )
-        self.modulator, self.policies, self.kind = modulator, policies, kind
-        self.policy = policy
-        self.sizes = sizes
-        self.observer = modulator.config.observer
-
-    def calibrate(self, scene: Scene, target: int) -> tuple[int, int]:
-        """Set the numbers of curves of the searches, unless they are given, and return them.
-
-        They are as many as fit in the time that the modulator plans with ℓ = 1 in `scene`, and in
-        ten times that, on one core.
-        """
-        if self.sizes is None:
-            with threads(1):
-                job, times = [Job(scene, target, 1.0, 0, 0)], []
-                for _ in range(_REPEATS):
-                    started = time.perf_counter()
-                    self.paths("modulator", job, [])
-                    times.append(1e3 * (time.perf_counter() - started))
-                plan = float(np.median(times))
-                self.sizes = (
-                    candidates_within(plan, scene, target, self.observer),
-                    candidates_within(10 * plan, scene, target, self.observer),
-                )
-        return self.sizes
-
-    def times(self, scene: Scene, target: int) -> dict[str, dict[str, float]]:
-        """Median times [ms] on one core, by method: `plan`, before it can move, and `motion`, all.
-
-        They are of one motion with ℓ = 1 in `scene`, without the simulation; the oracle, whose
-        archive is given, has none.
-        """
-        medians = {}
-        with threads(1):
-            for name in METHODS:
-                if name != "oracle":
-                    times = [self._timed(name, scene, target, seed) for seed in range(6)][1:]
-                    plan, motion = np.median(times, axis=0)
-                    medians[name] = {"plan": float(plan), "motion": float(motion)}
-        return medians
-
-    def _timed(self, name: str, scene: Scene, target: int, seed: int) -> tuple[float, float]:
-        job = Job(scene, target, 1.0, seed, seed)
-        started = time.perf_counter()
-        paths = self.paths(name, [job], [])
-        planned = time.perf_counter() - started
-        driver = _Stopwatch(self._driver(name, [job], seed))
-        self._execute([job], paths, driver)
-        if METHODS[name].guided:
-            planned = driver.times[0]
-        else:
-            driver.times.insert(0, planned)
-        return 1e3 * planned, 1e3 * sum(driver.times)
-
-    def paths(self, name: str, jobs: Sequence[Job], archives: Sequence[Archive]) -> list[Path]:
-        """A path for each of `jobs`; for a policy the straight line, which is not followed.
-
-        Args:
-            name: of the method.
-            jobs: the motions.
-            archives: of each job's scene, for the oracle.
-        """
-        if name == "oracle":
-            return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]
-        if name.startswith("search"):
-            assert self.sizes is not None
-            size = self.sizes[name != "search"]
-            return [
-                search(job.scene, job.target, job.level, self.observer, size, job.plan_seed)
-                for job in jobs
-            ]
-        if name in OURS:
-            candidates = CANDIDATES if name == OURS[1] else 1
-            return [
-                self.modulator.plan(
-                    job.scene, job.target, job.level, seed=job.plan_seed, num_candidates=candidates
-                )
-                for job in jobs
-            ]
-        return [straight_path(job.scene, job.target, job.level, self.observer) for job in jobs]
-
-    def motions(
-        self,
-        work: Sequence[tuple[str, Sequence[Job], Sequence[Archive]]],
-        each: Each,
-        progress: Callable[[int, int], None] = lambda done, total: None,
-    ) -> list[list[Motion]]:
-        """Execute the jobs of every method in `work`, as many at once as fit.
-
-        Args:
-            work: methods, their jobs, and the archives of the jobs' scenes, for the oracle.
-            each: of `pool`.
-            progress: called with the number of finished motions and of all motions.
-        """
-        items: list[tuple[str, Sequence[Job], list[Path] | None]] = []
-        places = []
-        for number, (name, jobs, archives) in enumerate(work):
-            # Archives are large: the oracle takes its paths before anything is sent.
-            paths = self.paths(name, jobs, archives) if name == "oracle" else None
-            for first in range(0, len(jobs), self.kind.at_once):
-                part = slice(first, first + self.kind.at_once)
-                items.append((name, jobs[part], paths and paths[part]))
-                places.append(number)
-        done, total = 0, sum(len(jobs) for _, jobs, _ in work)
-        parts: dict[int, list[Motion]] = {}
-        for index, executed in each(self._execute_item, items):
-            parts[index] = executed
-            done += len(executed)
-            progress(done, total)
-        motions: list[list[Motion]] = [[] for _ in work]
-        for index, number in enumerate(places):
-            motions[number] += parts[index]
-        return motions
-
-    @threads(1)
-    def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
-        name, jobs, paths = item
-        paths = paths or self.paths(name, jobs, [])
-        rollouts = self._execute(jobs, paths, self._driver(name, jobs, jobs[0].plan_seed))
-        return [Motion(r.states, r.success, r.reason) for r in rollouts]
-
-    def _driver(self, name: str, jobs: Sequence[Job], seed: int) -> Driver:
-        if not METHODS[name].guided:
-            return Policy(self.policy, seed)
-        scenes, targets = [job.scene for job in jobs], [job.target for job in jobs]
-        return GuidedPolicy(self.policies[name], scenes, targets, seed)
-
-    def _execute(self, jobs: Sequence[Job], paths: Sequence[Path], driver: Driver) -> list[Rollout]:
-        env = self.kind(len(jobs), max_goals=max(job.scene.num_goals for job in jobs))
-        env.reset(
-            seed=[job.env_seed for job in jobs],
-            options={"scene": [j.scene for j in jobs], "target": [j.target for j in jobs]},
-        )
-        levels = [job.level for job in jobs]
-        rollouts = self.modulator.execute_many(
-            env, legibility=levels, paths=paths, driver=driver, replan=False
-        )
-        env.close()
-        return rollouts
+    contest, place = _contest(modulator, policies, config)
+    units = place.spacing, place.unit
+    times = contest.times(place.scene)
+    archives = {t: modulator.archive(place.scene, target) for t, target in TARGETS.items()}
+    seeds = [plan_seeds(config.seed, i, 2) for i in range(config.rollouts)]
+    work = []
+    for letter, target in TARGETS.items():
+        jobs = [Job(place.scene, target, 1.0, *pair) for pair in seeds]
+        work += [(name, jobs, [archives[letter]] * len(jobs)) for name in METHODS]
+    with pool(workers, cluster) as each:
+        motions = iter(contest.motions(work, each, progress))
+    methods: dict[str, Any] = {
+        name: {"milliseconds": times.get(name), "targets": {}} for name in METHODS
+    }
+    cells: dict[str, dict[str, Array]] = {}
+    oracle = {}
+    for letter, archive in archives.items():
+        oracle[letter] = measured(archive.trajectories[archive.nearest(1.0)], archive, *units)
+        for name in METHODS:
+            executed = next(motions)
+            values = _values(executed, [archive] * len(executed), *units)
+            methods[name]["targets"][letter] = {
+                "success": _share(executed),
+                "reasons": dict(Counter(motion.reason for motion in executed)),
+                **{m: _mean(array, listed=m in TESTED) for m, array in values.items()},
+            }
+            for metric, sign in TESTED.items():
+                cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
+    return {
+        "env": world(contest.kind),
+        "scene": place.scene.to_dict(),
+        "spacing": place.spacing,
+        "unit": place.unit,
+        "methods": methods,
+        "oracle": oracle,
+        "tests": compare(cells),
+        "search": contest.sizes,
+    }
 
 
-class _Stopwatch:
-    """A driver that records the time [s] of each chunk."""
+def evaluate_unseen(
+    modulator: Modulator,
+    policies: dict[str, GoalPolicy],
+    config: UnseenConfig,
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Execute every method in the same held-out scenes, with ℓ = 1 and over the dial.
 
-    def __init__(self, driver: Driver) -> None:
-        self.driver, self.with_path = driver, driver.with_path
-        self.times: list[float] = []
+    Arguments as of `evaluate_table1`; the metrics do not depend on the number of workers.
 
-    def __call__(self, robots: RobotStates) -> Array:
-        """See `Driver`."""
-        started = time.perf_counter()
-        actions = self.driver(robots)
-        self.times.append(time.perf_counter() - started)
-        return actions
+    Returns:
+        `methods`: for each its success with interval; `METRICS`, each as a summary of the scenes'
+        means; `ratio`: of L_d and L_p the ratio to the scene's oracle (its archive's most legible
+        trajectory, not executed), its median over scenes with interval, and all values; for methods
+        with a dial, `spearman` and `error` of the executed ℓ; `goals`: number in each scene;
+        `tests`: see `compare`, paired by scene; `search`: number of curves of the two searches.
+    """
+    contest, place = _contest(modulator, policies, config)
+    source = SceneStream("evaluation", contest.kind.dim, config.goals, config.seed)
+    observer = modulator.config.observer
+    archives = [source.archive(index, observer) for index in range(config.scenes)]
+    oracle = [measured(a.trajectories[a.nearest(1.0)], a, place.spacing) for a in archives]
+    levels = level_steps(config.levels)
+    legible = _jobs(archives, [1.0] * config.rollouts, config.seed, "plan")
+    dial = _jobs(archives, levels.tolist(), config.seed, "demonstration")
+    with_dial = [name for name, method in METHODS.items() if method.dial]
+    work = [(name, *legible) for name in METHODS] + [(name, *dial) for name in with_dial]
+    with pool(workers, cluster) as each:
+        motions = contest.motions(work, each, progress)
+    moved = dict(zip(METHODS, motions[: len(METHODS)], strict=True))
+    turned = dict(zip(with_dial, motions[len(METHODS) :], strict=True))
+    methods: dict[str, Any] = {}
+    cells: dict[str, dict[str, Array]] = {}
+    for name in METHODS:
+        values = _values(moved[name], legible[1], place.spacing)
+        means = {m: array.reshape(config.scenes, -1).mean(axis=1) for m, array in values.items()}
+        methods[name] = {
+            "success": _share(moved[name] + turned.get(name, [])),
+            **{metric: summary(means[metric]) for metric in METRICS},
+            "ratio": {},
+        }
+        for metric, sign in TESTED.items():
+            least = _LEAST[metric]
+            ratio = np.maximum(means[metric], least)
+            ratio = ratio / np.maximum([o[metric] for o in oracle], least)
+            methods[name]["ratio"][metric] = {
+                "median": float(np.median(ratio)),
+                "interval": bootstrap_interval(ratio, np.median),
+                "values": _rounded(ratio),
+            }
+            cells.setdefault(metric, {})[name] = sign * np.log(ratio)
+        if name in turned:
+            achieved = _values(turned[name], dial[1], place.spacing)["achieved"]
+            table = achieved.reshape(config.scenes, -1)
+            orders = np.array([rank_correlation(levels, row) for row in table])
+            methods[name]["spearman"] = summary(orders)
+            methods[name]["error"] = summary(np.abs(table - levels).mean(axis=1))
+    return {
+        "env": world(contest.kind),
+        "spacing": place.spacing,
+        "methods": methods,
+        "goals": [a.scene.num_goals for a in archives],
+        "least": _LEAST,
+        "tests": compare(cells),
+        "search": contest.sizes,
+    }
+
+
+def _contest(
+    modulator: Modulator, policies: dict[str, GoalPolicy], config: Table1Config | UnseenConfig
+) -> tuple[Contest, TableScene]:
+    """The contest, and the table's scene in which its searches were timed."""
+    kind = vector_type(config.env, modulator.config.dim)
+    place, size = SCENES[kind.dim], config.search_candidates
+    sizes = (size, 10 * size) if size else search_sizes(modulator, place.scene)
+    return Contest(modulator, policies, kind, sizes), place
+
+
+def _jobs(
+    archives: list[Archive], levels: list[float], seed: int, use: str
+) -> tuple[list[Job], list[Archive]]:
+    """A motion in each scene for each level, and its archive."""
+    jobs = []
+    for index, archive in enumerate(archives):
+        seeds = iter(plan_seeds(seed, index, 2 * len(levels), use))
+        jobs += [Job(archive.scene, 0, level, next(seeds), next(seeds)) for level in levels]
+    return jobs, [archive for archive in archives for _ in levels]
+
+
+def _values(
+    motions: Sequence[Motion], archives: Iterable[Archive], *units: float
+) -> dict[str, Array]:
+    """Each of `METRICS` of `N` motions, `(N,)`."""
+    rows = [measured(m.states, a, *units) for m, a in zip(motions, archives, strict=True)]
+    return {metric: np.array([row[metric] for row in rows]) for metric in METRICS}
+
+
+def _share(motions: Sequence[Motion]) -> dict[str, Any]:
+    success = np.array([motion.success for motion in motions])
+    return {"mean": float(success.mean()), "interval": share_interval(success)}
+
+
+def _mean(values: Array, *, listed: bool) -> dict[str, Any]:
+    content = {"mean": float(values.mean()), "interval": bootstrap_interval(values)}
+    return content | ({"values": _rounded(values)} if listed else {})
+
+
+def _rounded(values: Array) -> list[float]:
+    return [float(f"{value:.6g}") for value in values]
 
 
 def compare(cells: dict[str, dict[str, Array]]) -> list[dict[str, Any]]:
@@ -351,3 +303,20 @@ def compare(cells: dict[str, dict[str, Array]]) -> list[dict[str, Any]]:
     for test, p in zip(tests, holm(np.array([t["p"] for t in tests])), strict=True):
         test["p_holm"] = float(p)
     return tests
+
+
+def paper_rows(dim: int) -> dict[str, dict[str, float | None]]:
+    """The paper's own Table I: by the name of a method its numbers, `success_rate`, `L_d_R`, ….
+
+    Raises:
+        InvalidInputError: the dimension is neither 2 nor 3.
+    """
+    if dim not in SCENES:
+        raise InvalidInputError(f"dim must be 2 or 3, got {dim!r}")
+    table = Path(__file__).with_name("table1.csv").read_text(encoding="utf-8")
+    rows = {}
+    for row in csv.DictReader(table.splitlines()):
+        if row.pop("environment") == f"{dim}d":
+            name = row.pop("method")
+            rows[name] = {key: float(value) if value else None for key, value in row.items()}
+    return rows

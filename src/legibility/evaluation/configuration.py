@@ -8,24 +8,37 @@ from ..checks import bounded, count, random_seed
 from ..data.scenes import SceneStream
 from ..errors import InvalidInputError
 
-__all__ = [
-    "AblationsConfig",
-    "DialConfig",
-    "ExecutionConfig",
-    "SpectrumConfig",
-    "Table1Config",
-    "UnseenConfig",
-]
+
+def _check_counts(config: object, **least: int) -> None:
+    """Raise unless the named fields are integers of at least these values."""
+    for name, low in least.items():
+        count(name, getattr(config, name), low=low)
 
 
 @dataclass(frozen=True)
-class DialConfig:
-    """Settings of the evaluation.
+class HeldOutScenes:
+    """Scenes of an evaluation.
 
     Attributes:
         scenes: random scenes of the evaluation stream.
         goals: least and most goals of a scene.
-        seed: of the scenes and of the plans.
+        seed: of the scenes, the plans, the actions and the robots' hidden properties.
+    """
+
+    scenes: int = 200
+    goals: tuple[int, int] = (2, 6)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        count("scenes", self.scenes)
+        SceneStream("evaluation", goals=self.goals, seed=self.seed)
+
+
+@dataclass(frozen=True)
+class DialConfig(HeldOutScenes):
+    """Settings of the evaluation.
+
+    Attributes:
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
         candidates: paths of which the nearest is measured as well; 0 leaves it out.
@@ -37,9 +50,6 @@ class DialConfig:
             given.
     """
 
-    scenes: int = 200
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
     levels: int = 21
     samples: int = 8
     candidates: int = 16
@@ -49,39 +59,29 @@ class DialConfig:
     env: str | None = None
 
     def __post_init__(self) -> None:
-        count("scenes", self.scenes)
-        SceneStream("evaluation", goals=self.goals, seed=self.seed)
-        count("levels", self.levels, low=3)
-        count("samples", self.samples)
-        count("candidates", self.candidates, low=0)
+        super().__post_init__()
+        _check_counts(self, levels=3, samples=1, candidates=0)
         if self.env is not None and not self.closed_loop:
             raise InvalidInputError(f"env {self.env} belongs to closed_loop, which is not asked")
 
 
 @dataclass(frozen=True)
-class ExecutionConfig:
+class ExecutionConfig(HeldOutScenes):
     """Settings of the evaluation.
 
     Attributes:
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        seed: of the scenes, the plans and the environments.
         rollouts: total number, the same in each scene, ℓ uniform in [−1, 1].
         disturbance: of a push or a shift of the target [m]; twice the largest displacement of a
             step if not given.
         env: environment, 2d, panda or pandagym; that of the dimension if not given.
     """
 
-    scenes: int = 200
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
     rollouts: int = 5000
     disturbance: float | None = None
     env: str | None = None
 
     def __post_init__(self) -> None:
-        count("scenes", self.scenes)
-        SceneStream("evaluation", goals=self.goals, seed=self.seed)
+        super().__post_init__()
         if count("rollouts", self.rollouts) % self.scenes or self.rollouts < 3 * self.scenes:
             raise InvalidInputError(
                 f"rollouts must be a multiple of scenes, three or more in each, "
@@ -92,13 +92,13 @@ class ExecutionConfig:
 
 
 @dataclass(frozen=True)
-class Table1Config:
-    """Settings of the evaluation.
+class ComparisonConfig:
+    """Settings of a comparison of all methods.
 
     Attributes:
         env: environment, 2d, panda or pandagym.
-        rollouts: of each method toward either target.
-        seed: of the plans, the actions and the robots' hidden properties.
+        rollouts: of each method with ℓ = 1, toward either target or in each held-out scene.
+        seed: of the scenes, the plans, the actions and the robots' hidden properties.
         search_candidates: curves of the first search; the second draws ten times that. 0 means as
             many as fit in the time of a plan, which is measured first.
     """
@@ -109,40 +109,38 @@ class Table1Config:
     search_candidates: int = 0
 
     def __post_init__(self) -> None:
-        count("rollouts", self.rollouts, low=2)
         random_seed("seed", self.seed)
-        count("search_candidates", self.search_candidates, low=0)
+        _check_counts(self, rollouts=1, search_candidates=0)
 
 
 @dataclass(frozen=True)
-class UnseenConfig:
+class Table1Config(ComparisonConfig):
+    """Settings of the evaluation."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_counts(self, rollouts=2)
+
+
+@dataclass(frozen=True)
+class UnseenConfig(ComparisonConfig):
     """Settings of the evaluation.
 
     Attributes:
-        env: environment, 2d, panda or pandagym.
         scenes: random scenes of the evaluation stream.
         goals: least and most goals of a scene.
-        rollouts: of each method in each scene with ℓ = 1.
         levels: of ℓ from −1 to 1, a motion each, for methods that take an ℓ.
-        seed: of the scenes, the plans, the actions and the robots' hidden properties.
-        search_candidates: curves of the first search; the second draws ten times that. 0 means as
-            many as fit in the time of a plan, which is measured first.
     """
 
-    env: str = "2d"
+    rollouts: int = 4
     scenes: int = 100
     goals: tuple[int, int] = (2, 6)
-    rollouts: int = 4
     levels: int = 11
-    seed: int = 0
-    search_candidates: int = 0
 
     def __post_init__(self) -> None:
-        count("scenes", self.scenes, low=2)
+        super().__post_init__()
         SceneStream("evaluation", goals=self.goals, seed=self.seed)
-        count("rollouts", self.rollouts)
-        count("levels", self.levels, low=3)
-        count("search_candidates", self.search_candidates, low=0)
+        _check_counts(self, scenes=2, levels=3)
 
 
 @dataclass(frozen=True)
@@ -162,19 +160,15 @@ class SpectrumConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        count("levels", self.levels, low=3)
-        count("rollouts", self.rollouts, low=2)
         random_seed("seed", self.seed)
+        _check_counts(self, levels=3, rollouts=2)
 
 
 @dataclass(frozen=True)
-class AblationsConfig:
+class AblationsConfig(HeldOutScenes):
     """Settings of the evaluation and of the small runs.
 
     Attributes:
-        scenes: random scenes of the evaluation stream.
-        goals: least and most goals of a scene.
-        seed: of the scenes and of the plans.
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
         sampling_steps: of the sampler, each with the shipped weights.
@@ -185,8 +179,6 @@ class AblationsConfig:
     """
 
     scenes: int = 50
-    goals: tuple[int, int] = (2, 6)
-    seed: int = 0
     levels: int = 11
     samples: int = 4
     sampling_steps: tuple[int, ...] = (1, 2, 4, 8, 100)
@@ -196,8 +188,7 @@ class AblationsConfig:
     scene_numbers: tuple[int, ...] = (200, 800, 12800)
 
     def __post_init__(self) -> None:
-        count("training_steps", self.training_steps)
-        count("training_scenes", self.training_scenes)
+        _check_counts(self, training_steps=1, training_scenes=1)
         for number in self.scene_numbers:
             count("scene_numbers", number)
         self.dial()  # checks the rest
@@ -205,6 +196,6 @@ class AblationsConfig:
     def dial(self, steps: int | None = None, guidance: float | None = None) -> DialConfig:
         """How a row is measured, `steps` and `guidance` of the sampler as in `DialConfig`."""
         return DialConfig(
-            scenes=self.scenes, goals=self.goals, seed=self.seed, levels=self.levels,
-            samples=self.samples, candidates=0, guidance=guidance, steps=steps,
+            self.scenes, self.goals, self.seed, self.levels, self.samples,
+            candidates=0, guidance=guidance, steps=steps,
         )  # fmt: skip

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,24 +14,26 @@ from ..envs import vector_type
 from ..modulator import Modulator
 from ..motion.path import Path
 from ..parallel import pool, threads
-from ..scene import Scene
 from ..seeds import plan_seeds
+from .common import (
+    Progress,
+    counter,
+    execute_paths,
+    gather,
+    level_steps,
+    plan_milliseconds,
+    silent,
+    world,
+)
 from .configuration import DialConfig
 from .statistics import rank_correlation, summary
 
-__all__ = ["METRICS", "evaluate_dial", "worst"]
-
 
 class Metric(NamedTuple):
-    """A metric of the dial.
-
-    Attributes:
-        text: its meaning.
-        best: the value nearest to which is best; ±inf if higher or lower is better.
-    """
+    """A metric of the dial."""
 
     text: str
-    best: float | None
+    best: float | None  # the value nearest to which is best; ±inf if higher or lower is better
 
 
 METRICS = {
@@ -57,12 +57,7 @@ METRICS = {
 
 
 def worst(name: str, values: dict[str, float]) -> float | None:
-    """The worst scene's value of a metric, None if neither way is better.
-
-    Args:
-        name: of the metric.
-        values: its `min` and `max` over the scenes.
-    """
+    """The value of a metric, of `min` and `max` over scenes, in the worst; None if none is."""
     best = METRICS[name].best
     if best is None:
         return None
@@ -73,11 +68,11 @@ def worst(name: str, values: dict[str, float]) -> float | None:
 
 def evaluate_dial(
     modulator: Modulator,
-    config: DialConfig | None = None,
+    config: DialConfig,
     *,
     workers: int = 1,
     cluster: str | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure the dial of `modulator` on fresh random scenes.
 
@@ -86,9 +81,9 @@ def evaluate_dial(
     Args:
         modulator: the model.
         config: of the evaluation.
-        workers: processes on this machine.
-        cluster: a Dask cluster, see `pool`.
-        progress: called with the scenes done and all of them.
+        workers: see `pool`.
+        cluster: see `pool`.
+        progress: called with the number of finished items and of all items.
 
     Returns:
         `overall`: each of `METRICS` with mean over scenes, 95 % interval, worst and best;
@@ -96,25 +91,20 @@ def evaluate_dial(
         `levels`: the asked levels; `plan_ms`: the time of one plan on one core of this machine,
         before other work starts; `env`: the environment of a closed loop.
     """
-    config = config or DialConfig()
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
     source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
-    levels = np.round(np.linspace(-1, 1, config.levels), 12)
+    levels = level_steps(config.levels)
     measure = partial(_measure, modulator, source, levels, config)
-    by_scene: dict[int, dict[str, Any]] = {}
+    advance = counter(progress, config.scenes)
     with pool(workers, cluster) as work:
         plan_ms = plan_milliseconds(
             modulator, source.scene(0), guidance=config.guidance, steps=config.steps
         )
-        progress(0, config.scenes)
-        for index, row in work(measure, range(config.scenes)):
-            by_scene[index] = row
-            progress(len(by_scene), config.scenes)
-    rows = [by_scene[index] for index in range(config.scenes)]
+        advance(0)
+        rows = gather(work, measure, range(config.scenes), lambda _: advance(1))
     names = [name for name in METRICS if name in rows[0]]
-    world = {"env": kind.__name__.removesuffix("Vector")} if kind else {}
     return {
-        **world,
+        **({"env": world(kind)} if kind else {}),
         "overall": {name: summary(np.array([row[name] for row in rows])) for name in names},
         "levels": levels.tolist(),
         "plan_ms": plan_ms,
@@ -180,16 +170,7 @@ def _executed(
     modulator: Modulator, path: Path, seed: int, name: str | None
 ) -> tuple[Array, Array, dict[str, float]]:
     """Scores `(B,)` and curves `(B, T, D)` [m] of the executed paths, and their metrics."""
-    kind = vector_type(name, path.scene.dim)
-    size, rollouts = len(path.waypoints), []
-    for first in range(0, size, kind.at_once):
-        part = [path[i] for i in range(first, min(first + kind.at_once, size))]
-        env = kind(len(part), max_goals=max(6, path.scene.num_goals))
-        env.reset(seed=seed + first, options={"scene": path.scene, "target": path.target})
-        rollouts += modulator.execute_many(
-            env, legibility=[p.legibility for p in part], seed=seed + first, paths=part
-        )
-        env.close()
+    rollouts = execute_paths(modulator, vector_type(name, path.scene.dim), path, seed, seed)
     off = [r.deviation.mean() for r in rollouts] / path.length
     metrics = {
         "success": float(np.mean([r.success for r in rollouts])),
@@ -197,16 +178,3 @@ def _executed(
     }
     score = np.array([r.score for r in rollouts])
     return score, np.stack([r.trajectory(200) for r in rollouts]), metrics
-
-
-@threads(1)
-def plan_milliseconds(
-    modulator: Modulator, scene: Scene, repeats: int = 200, **options: Any
-) -> float:
-    """Median time [ms] of one plan on one core, after a warm-up."""
-    times = []
-    for seed in range(repeats + 5):
-        start = time.perf_counter()
-        modulator.plan(scene, 0, 0.5, seed=seed, **options)
-        times.append(time.perf_counter() - start)
-    return float(np.median(times[5:]) * 1e3)

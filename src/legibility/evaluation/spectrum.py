@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,18 +19,17 @@ from ..modulator import Modulator
 from ..rollout import Rollout
 from ..scene import Scene
 from ..seeds import plan_seeds
+from .common import Progress, counter, execute_paths, level_steps, silent, world
+from .comparison import SCENES, TARGETS
 from .configuration import SpectrumConfig
 from .statistics import bootstrap_interval
-from .table1 import SCENES, TARGETS
-
-__all__ = ["Spectrum", "evaluate_spectrum"]
 
 
 def evaluate_spectrum(
     modulator: Modulator,
-    config: SpectrumConfig | None = None,
+    config: SpectrumConfig,
     *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Execute motions of all levels in the scene of Table I, toward R and toward G.
 
@@ -40,27 +39,16 @@ def evaluate_spectrum(
         `rising`, the number of levels whose mean cost is above that of the level before;
         `angles`, of the joints at the start.
     """
-    config = config or SpectrumConfig()
     kind = vector_type(config.env, modulator.config.dim)
     place = SCENES[kind.dim]
-    levels = np.round(np.linspace(-1, 1, config.levels), 12)
-    each = np.repeat(levels, config.rollouts)
-    done, total = 0, len(TARGETS) * len(each)
+    levels = level_steps(config.levels)
+    asked = np.repeat(levels, config.rollouts)
+    advance = counter(progress, len(TARGETS) * len(asked))
     targets = {}
     for letter, target in TARGETS.items():
         plan_seed, env_seed = plan_seeds(config.seed, target, 2)
-        plans = modulator.plan(place.scene, target, each, seed=plan_seed)
-        rollouts: list[Rollout] = []
-        for first in range(0, len(each), kind.at_once):
-            paths = [plans[i] for i in range(first, min(first + kind.at_once, len(each)))]
-            env = kind(len(paths), max_goals=place.scene.num_goals)
-            env.reset(seed=env_seed + first, options={"scene": place.scene, "target": target})
-            rollouts += modulator.execute_many(
-                env, legibility=[p.legibility for p in paths], seed=plan_seed + first, paths=paths
-            )
-            env.close()
-            progress(done + len(rollouts), total)
-        done += len(each)
+        plans = modulator.plan(place.scene, target, asked, seed=plan_seed)
+        rollouts = execute_paths(modulator, kind, plans, plan_seed, env_seed, advance)
         spectrum = Spectrum.of(rollouts)
         means = spectrum.costs.mean(axis=1)
         achieved = np.reshape([r.achieved for r in rollouts], spectrum.costs.shape)
@@ -75,7 +63,7 @@ def evaluate_spectrum(
             "angles": spectrum.angles,
         }
     return {
-        "env": kind.__name__.removesuffix("Vector"),
+        "env": world(kind),
         "scene": place.scene.to_dict(),
         "observer": modulator.config.observer.to_dict(),
         "spacing": place.spacing,

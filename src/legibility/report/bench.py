@@ -5,9 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from .table import Column, Part, Table
-from .wording import threads_of
-
-__all__ = ["bench_section", "measured"]
 
 Columns = dict[str, dict[str, Any]]
 """By its head, the metric of a column and its further conditions."""
@@ -91,3 +88,8 @@ def _table(
 def _short(value: float) -> str:
     """Three significant digits."""
     return f"{value:,.0f}" if value >= 100 else f"{value:#.3g}".rstrip(".")
+
+
+def threads_of(facts: dict[str, Any]) -> str:
+    """The number of threads of a measurement."""
+    return f"{facts['threads']} thread{'s' * (facts['threads'] > 1)}"

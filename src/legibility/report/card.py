@@ -6,13 +6,12 @@ from typing import Any
 
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
-from ..evaluation.comparison import METHODS
+from ..evaluation.contest import METHODS
 from ..models.provenance import TrainingRecord
+from .bench import threads_of
 from .results import Results, headline_table, well_formed
-from .table import Part, Table, markdown, number
-from .wording import WORLDS, goals_of, percent, threads_of
-
-__all__ = ["render_card"]
+from .sections import goals_of
+from .table import Part, markdown
 
 _HEAD = """\
 ---
@@ -24,10 +23,7 @@ tags: [robotics, human-robot-interaction, legibility, diffusion{tag}]
 # {name}
 
 """
-_POINTER = (
-    "All metrics with their intervals, and the commands that measured them, are in the "
-    "repository's `docs/results.md`."
-)
+_PAGE = "the repository's `docs/results.md`"
 
 
 def render_card(name: str, config: dict[str, Any], results: Results) -> str:
@@ -51,10 +47,8 @@ def render_card(name: str, config: dict[str, Any], results: Results) -> str:
                         f"the configuration of {name} does not say how its {stage} was trained"
                     )
                 records[stage] = TrainingRecord.from_dict(entry["training"])
-        if "goal" in records:
-            head, parts = _HEAD.format(name=name, tag=", baseline"), _baseline
-        else:
-            head, parts = _HEAD.format(name=name, tag=""), _modulator
+        parts, tag = (_baseline, ", baseline") if "goal" in records else (_modulator, "")
+        head = _HEAD.format(name=name, tag=tag)
         return head + markdown(parts(name, config, records, results)) + "\n"
 
 
@@ -63,16 +57,17 @@ def _modulator(
 ) -> list[Part]:
     kinds = ["dial", *(["closed-loop", "execution"] if "policy" in records else [])]
     for kind in kinds:
-        if name not in results.get(kind, {}):
-            raise InvalidInputError(f"there is no {kind}-{name}.json beside the other results")
+        document = _document(results, kind, name)
         for stage in records if kind != "dial" else ["path"]:
-            _check(f"{kind}-{name}", results[kind][name]["model"], name, stage, config)
+            _check(f"{kind}-{name}", document["model"], name, stage, config)
     path, record = config["path"]["config"], records["path"]
     observer, data = path["observer"], record.data
     stages = f"Stage 1, the path diffuser, turns start, goals and ℓ into {NUM_WAYPOINTS} waypoints."
+    stage_2: list[Part] = []
     if "policy" in records:
         stages += " Stage 2, the path-guided policy, turns the path into actions, closed loop."
-    parts: list[Part] = [
+        stage_2 = ["## Training of stage 2", *_policy(records["policy"], path["dim"])]
+    return [
         f"The Legibility Modulator for {path['dim']}-D block reaching. {stages} Load it with "
         f'`legibility.Modulator.from_pretrained("{name}")`.',
         "## Data",
@@ -82,20 +77,10 @@ def _modulator(
         f"{observer['alpha']}. SHA-256 over the shards: `{record.digest}`.",
         "## Training of stage 1",
         *_stage_1(path, record),
-    ]
-    if "policy" in records:
-        policy = records["policy"]
-        parts += [
-            "## Training of stage 2",
-            _demonstrated(policy, path["dim"]),
-            _trained(policy, "{batch:,} moments of demonstrations"),
-        ]
-    table = headline_table({kind: results[kind] for kind in kinds}, {name: "value"})
-    return [
-        *parts,
+        *stage_2,
         "## Metrics",
-        table,
-        _POINTER,
+        headline_table({kind: results[kind] for kind in kinds}, {name: "value"}),
+        f"All metrics with their intervals, and the commands that measured them, are in {_PAGE}.",
         "## Limits",
         "The observer is a model (a Gaussian around each goal), not a person. The weights were "
         f"trained in the default workspace of {path['dim']}-D scenes only and know no obstacles. "
@@ -141,45 +126,21 @@ def _baseline(
         f"Modulator: two states and a goal to a chunk of {shape['chunk']} actions, of which "
         f"{shape['execute']} are executed.",
         "## Training",
-        _demonstrated(record, shape["dim"]),
-        _trained(record, "{batch:,} moments of demonstrations"),
+        *_policy(record, shape["dim"]),
     ]
     if shape["guidance"] > 0:
-        tuning = results.get("tuning", {}).get(name)
-        if tuning is None:
-            raise InvalidInputError(f"there is no tuning-{name}.json beside the other results")
+        tuning = _document(results, "tuning", name)
         _check(f"tuning-{name}", tuning["model"], name, "goal", config)
         parts += ["## Guidance", _tuned(name, shape, tuning["result"]["tuning"])]
-    table = Table("", "success", "L_d over oracle", "L_p over oracle")
-    for kind in ("table1", "unseen"):
-        for environment, document in results.get(kind, {}).items():
-            for used in document["baselines"]:
-                if used["name"] == name:
-                    _check(f"{kind}-{environment}", used, name, "goal", config)
-                    _add_comparison(table, kind, method, document["result"])
-    if table.rows:
-        parts += ["## Metrics", "At ℓ = 1; on held-out scenes medians.", table, _POINTER]
     return [
         *parts,
+        "## Metrics",
+        f"Its comparison with the modulator is in {_PAGE}.",
         "## Limits",
         "It is trained on stage 2's demonstrations, which reach goals in many random scenes in all "
         "ways, with stage 2's budget and network size, and not, as by its authors, on "
         "demonstrations of a single scene; it does not reach the paper's numbers.",
     ]
-
-
-def _add_comparison(table: Table, kind: str, method: str, result: dict[str, Any]) -> None:
-    metrics = ("distance_score", "potential_cost")
-    values, world = result["methods"][method], WORLDS[result["env"]]
-    if kind == "unseen":
-        ratios = (number(values["ratio"][m]["median"]) for m in metrics)
-        table.add_row(f"held-out scenes, {world}", percent(values["success"]["mean"]), *ratios)
-        return
-    for letter, target in values["targets"].items():
-        ratios = (number(target[m]["mean"] / result["oracle"][letter][m]) for m in metrics)
-        table.add_row(
-            f"Table I toward {letter}, {world}", percent(target["success"]["mean"]), *ratios
-        )
 
 
 def _tuned(name: str, shape: dict[str, Any], tuning: list[dict[str, float]]) -> str:
@@ -203,17 +164,18 @@ def _tuned(name: str, shape: dict[str, Any], tuning: list[dict[str, float]]) -> 
     )
 
 
-def _demonstrated(record: TrainingRecord, dim: int) -> str:
-    """The demonstrations that a policy learned from."""
+def _policy(record: TrainingRecord, dim: int) -> list[Part]:
+    """The demonstrations and the training of a policy."""
     shown = record.demonstrations or {}
     scenes = shown["demonstrated"] or record.data["scenes"]
-    return (
+    return [
         f"{shown['number']:,} demonstrations, {shown['demonstrations']} in each of {scenes:,} "
         "scenes of the same data: a feedback controller follows paths of the archive in "
         f"{'BlockReach2D' if dim == 2 else 'PandaBlockReach, on MuJoCo'}, with noise of "
         f"{1e3 * shown['noise']:g} mm a step and, in {shown['pushed']:.0%}, a push of "
-        f"{1e2 * shown['push']:g} cm. SHA-256 over the shards: `{record.digest}`."
-    )
+        f"{1e2 * shown['push']:g} cm. SHA-256 over the shards: `{record.digest}`.",
+        _trained(record, "{batch:,} moments of demonstrations"),
+    ]
 
 
 def _trained(record: TrainingRecord, batch: str) -> str:
@@ -227,6 +189,12 @@ def _trained(record: TrainingRecord, batch: str) -> str:
         "validation included. The machine is shared: at the speed of the fastest tenth of the log "
         f"the batches alone take {alone:.0f} minutes."
     )
+
+
+def _document(results: Results, kind: str, name: str) -> dict[str, Any]:
+    if name not in results.get(kind, {}):
+        raise InvalidInputError(f"there is no {kind}-{name}.json beside the other results")
+    return results[kind][name]
 
 
 def _check(stem: str, used: dict[str, str], name: str, stage: str, config: dict[str, Any]) -> None:

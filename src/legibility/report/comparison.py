@@ -1,26 +1,14 @@
-"""Table I, the comparison on held-out scenes and the spectrum, as text and tables."""
+"""Table I and the comparison on held-out scenes, as text and tables."""
 
 from __future__ import annotations
 
-import math
-from itertools import pairwise
 from typing import Any
 
-from ..evaluation.comparison import BASELINE, CANDIDATES, METHODS, METRICS, OURS, TESTED
-from ..evaluation.table1 import TARGETS, paper_rows
-from .table import Bold, Cell, Column, Part, Table, number
-from .wording import WORLDS, percent, scenes_of
+from ..evaluation.comparison import METRICS, TARGETS, TESTED, paper_rows
+from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
+from .sections import WORLDS, at_most, means, percent, scenes_of, three_digits
+from .table import Bold, Column, Part, Table, number
 
-__all__ = ["spectrum_section", "table1_section", "unseen_section"]
-
-_PAPER = {
-    "diffusion policy": "Diffusion Policy",
-    "legibility diffuser": "Legibility Diffuser",
-    "modulator": "Legibility Modulator",
-    "modulator, candidates": "Legibility Modulator",
-    "oracle": "Dataset Oracle",
-}
-"""The paper's row of a method."""
 _ARROWS: dict[str, str] = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
 _PLACES = {
@@ -59,30 +47,30 @@ def _table1(result: dict[str, Any], paper: dict[str, dict[str, float | None]]) -
         *(
             Column(name, group=f"target {letter}")
             for letter, metric in cells
-            for name in (f"{METRICS[metric].text} {_ARROWS[metric]}", "paper")
+            for name in (f"{METRICS[metric]} {_ARROWS[metric]}", "paper")
         ),
     )  # fmt: skip
     for name, method in result["methods"].items():
-        row: list[Cell] = []
+        row: list[str] = []
         for letter, metric in cells:
             mean = method["targets"][letter][metric]["mean"]
-            text = f"{_short(mean)} ({mean / result['oracle'][letter][metric]:.2f})"
+            text = f"{three_digits(mean)} ({mean / result['oracle'][letter][metric]:.2f})"
             better = _better(result, f"{letter} {metric}", name)
             row += [Bold(text) if better else text, _paper(paper, name, letter, metric)]
         success = min(t["success"]["mean"] for t in method["targets"].values())
-        table.add_row(METHODS[name].text, _floor(success), *row)
+        table.add_row(METHODS[name].text, at_most(success), *row)
     table.add_section()
     row = []
     for letter, metric in cells:
         value = result["oracle"][letter][metric]
-        row += [f"{_short(value)} (1.00)", _paper(paper, "oracle", letter, metric)]
+        row += [f"{three_digits(value)} (1.00)", _paper(paper, "oracle", letter, metric)]
     table.add_row("Dataset Oracle, the curve itself", "–", *row)
     return table
 
 
 def _other_metrics(result: dict[str, Any]) -> Table:
     others = [m for m in METRICS if m not in TESTED]
-    table = Table("method", *(METRICS[m].text for m in others), "plan [ms]", "whole motion [ms]")
+    table = Table("method", *(METRICS[m] for m in others), "plan [ms]", "whole motion [ms]")
     for name, method in result["methods"].items():
         targets, times = method["targets"].values(), method["milliseconds"]
         table.add_row(
@@ -97,11 +85,11 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
     """The methods on held-out scenes, relative to the oracle, and the tests."""
     config, result = document["config"], document["result"]
     table = Table(
-        "method", "success", *(f"{METRICS[m].text} {_ARROWS[m]} over oracle" for m in TESTED),
+        "method", "success", *(f"{METRICS[m]} {_ARROWS[m]} over oracle" for m in TESTED),
         "length over straight", "achieved ℓ, asked 1", "Spearman of ℓ", "error of ℓ",
     )  # fmt: skip
     for name, method in result["methods"].items():
-        ratios: list[Cell] = []
+        ratios: list[str] = []
         for metric in TESTED:
             ratio = method["ratio"][metric]
             low, high = ratio["interval"]
@@ -111,11 +99,8 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
             METHODS[name].text,
             percent(method["success"]["mean"]),
             *ratios,
-            *(number(method[key]["mean"]) for key in ("length_ratio", "achieved")),
-            *(
-                number(method[key]["mean"], 4) if key in method else "–"
-                for key in ("spearman", "error")
-            ),
+            *means(method, ("length_ratio", "achieved"), 3),
+            *means(method, ("spearman", "error")),
         )
     return [
         f"{scenes_of(document)}, in {WORLDS[result['env']]}. L_d and L_p are of "
@@ -130,41 +115,6 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
         "curves. Bold is as in Table I, paired by scene.",
         table,
         *_tests(result, list(TESTED)),
-    ]
-
-
-def spectrum_section(document: dict[str, Any]) -> list[Part]:
-    """The cost of executed motions over the whole dial (paper, figure 3)."""
-    config, result = document["config"], document["result"]
-    table = Table(
-        "asked ℓ",
-        *(
-            Column(name, group=f"target {letter}")
-            for letter in result["targets"]
-            for name in ("L_p", "achieved ℓ")
-        ),
-    )
-    for index, level in enumerate(result["levels"]):
-        cells = []
-        for values in result["targets"].values():
-            cells += [_short(values["mean"][index]), number(values["achieved"][index])]
-        table.add_row(number(level, 2), *cells)
-    trends = []
-    for letter, values in result["targets"].items():
-        means = values["mean"]
-        trend = "falls at every level"
-        if values["rising"]:
-            most = max(after / before - 1 for before, after in pairwise(means))
-            trend = f"rises at {values['rising']} of {len(means) - 1} levels, by at most {most:.2%}"
-        trends.append(
-            f"toward {letter} it {trend}, from {_short(means[0])} to {_short(means[-1])}, with "
-            f"{_floor(values['success'])} success"
-        )
-    return [
-        f"{config['rollouts']} motions at each of {config['levels']} levels of ℓ toward either "
-        f"target of Table I, executed in {WORLDS[result['env']]} (seed {document['seed']}). The "
-        f"mean of the paper's L_p: {'; '.join(trends)}. The picture's bands are 95 % intervals.",
-        table,
     ]
 
 
@@ -185,7 +135,7 @@ def _tests(result: dict[str, Any], cells: list[str]) -> list[Part]:
     ]
 
 
-def _verdict(test: dict[str, Any]) -> Cell:
+def _verdict(test: dict[str, Any]) -> str:
     p = test["p_holm"]
     worse = p < _SIGNIFICANT and test["effect"] <= 0
     word = "worse" if worse else "better" if p < _SIGNIFICANT else "not shown"
@@ -196,7 +146,7 @@ def _verdict(test: dict[str, Any]) -> Cell:
 
 def _cell_name(cell: str) -> str:
     *letter, metric = cell.split()
-    return ": ".join([*letter, METRICS[metric].text])
+    return ": ".join([*letter, METRICS[metric]])
 
 
 def _better(result: dict[str, Any], cell: str, method: str) -> bool:
@@ -209,20 +159,10 @@ def _better(result: dict[str, Any], cell: str, method: str) -> bool:
 
 
 def _paper(paper: dict[str, dict[str, float | None]], name: str, letter: str, metric: str) -> str:
-    if name not in _PAPER:
+    if not METHODS[name].paper:
         return "–"
-    key = f"{METRICS[metric].text}_{letter}"
-    value, best = paper[_PAPER[name]][key], paper["Dataset Oracle"][key]
+    key = f"{METRICS[metric]}_{letter}"
+    value, best = paper[METHODS[name].paper][key], paper["Dataset Oracle"][key]
     assert value
     assert best
     return f"{value:g} ({value / best:.2f})"
-
-
-def _floor(share: float) -> str:
-    """Percent, to a tenth and never rounded up to all."""
-    return f"{math.floor(1000 * share + 1e-9) / 10:.1f}%"
-
-
-def _short(value: float) -> str:
-    """Three significant digits."""
-    return f"{value:.2e}" if 0 < abs(value) < 0.01 else f"{value:#.3g}".rstrip(".")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shlex
 import subprocess
 import sys
@@ -21,27 +22,18 @@ from pathlib import Path
 from ..errors import InvalidInputError
 from ..files import file_hash, read_text
 
-__all__ = ["Experiment", "main", "read_experiments"]
-
 _WEIGHTS = Path(__file__).parent.parent / "weights"
 _MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
 """A module of each extra."""
-_PARALLEL = ("evaluate dial", "evaluate execution", "evaluate table1", "evaluate unseen",
-             "evaluate ablations")  # fmt: skip
-"""Verbs with `--workers`, which does not change their metrics."""
+_PARALLEL = ("dial", "execution", "table1", "unseen", "ablations")
+"""Evaluations with `--workers`, which does not change their metrics."""
 
 
 @dataclass(frozen=True)
 class Experiment:
     """A measurement.
 
-    Attributes:
-        name: its result is `results/NAME.json`.
-        command: arguments of `legibility`.
-        weights: names of the shipped weights that the result records.
-        extras: extras of the package that must be installed.
-        data: a folder that must exist.
-        by_name: whether it runs only if it is named.
+    Its result is `results/NAME.json`; the other fields are explained in `experiments.toml`.
     """
 
     name: str
@@ -52,14 +44,9 @@ class Experiment:
     by_name: bool = False
 
     @property
-    def file(self) -> Path:
-        """The file of the result."""
-        return Path("results") / f"{self.name}.json"
-
-    @property
     def arguments(self) -> list[str]:
-        """The arguments of `legibility`, with those that name the file."""
-        return [*shlex.split(self.command), "--json", self.file.as_posix()]
+        """The arguments of `legibility`, with the file of the result."""
+        return [*shlex.split(self.command), "--json", f"results/{self.name}.json"]
 
     def missing(self) -> list[str]:
         """The needs that are not met here."""
@@ -70,15 +57,18 @@ class Experiment:
     def is_done(self) -> bool:
         """Whether the result was made by this command with the weights as they are now."""
         try:
-            document = json.loads(self.file.read_text(encoding="utf-8"))
-            command = shlex.split(document["command"])[1:]
+            document = json.loads(Path(self.arguments[-1]).read_text(encoding="utf-8"))
+            command = re.sub(r" --workers \d+", "", document["command"])
             used = [document["model"], *document.get("baselines", []),
                     *document["config"].get("weights", [])]  # fmt: skip
             recorded = {model.pop("name"): model for model in used}
         except (OSError, ValueError, LookupError, TypeError, AttributeError):
             return False
-        current = {name: _hashes(name) for name in self.weights}
-        return _without_workers(command) == self.arguments and recorded == current
+        current = {
+            name: {file.stem: file_hash(file) for file in (_WEIGHTS / name).glob("*.safetensors")}
+            for name in self.weights
+        }
+        return shlex.split(command)[1:] == self.arguments and recorded == current
 
 
 def read_experiments(file: Path) -> dict[str, Experiment]:
@@ -114,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"SKIPPED: {name} needs {', '.join(missing)}", flush=True)
         else:
             command = ["legibility", *experiment.arguments]
-            if experiment.command.startswith(_PARALLEL):
+            if experiment.command.startswith(tuple(f"evaluate {verb}" for verb in _PARALLEL)):
                 command += ["--workers", str(options.workers)]
             print(shlex.join(command), flush=True)
             run = subprocess.run([sys.executable, "-m", *command], check=False)
@@ -123,19 +113,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if failed:
         print(f"FAILED: {', '.join(failed)}", flush=True)
     return int(bool(failed))
-
-
-def _hashes(name: str) -> dict[str, str]:
-    """The hash of each file of shipped weights by its stage."""
-    return {file.stem: file_hash(file) for file in (_WEIGHTS / name).glob("*.safetensors")}
-
-
-def _without_workers(command: list[str]) -> list[str]:
-    """The arguments without `--workers N`."""
-    if "--workers" not in command:
-        return command
-    first = command.index("--workers")
-    return command[:first] + command[first + 2 :]
 
 
 if __name__ == "__main__":

@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import InvalidInputError
-from ..files import read_text
+from ..files import read_document
 from .bench import bench_section, measured
-from .comparison import spectrum_section, table1_section, unseen_section
-from .dial import ablations_section, dial_section
-from .execution import execution_section
+from .comparison import table1_section, unseen_section
+from .sections import (
+    ablations_section,
+    dial_section,
+    execution_section,
+    percent,
+    spectrum_section,
+)
 from .table import Part, Table, markdown, number
-from .wording import percent
-
-__all__ = [
-    "KINDS",
-    "Results",
-    "headline_table",
-    "read_json",
-    "read_results",
-    "render_page",
-    "section_of",
-    "well_formed",
-]
 
 Document = dict[str, Any]
 Results = dict[str, dict[str, Document]]
@@ -35,13 +27,7 @@ Results = dict[str, dict[str, Document]]
 
 
 class Kind(NamedTuple):
-    """A kind of result.
-
-    Attributes:
-        title: of its part of the page.
-        section: its text and tables.
-        picture: the picture's alternative text, if it has one.
-    """
+    """A kind of result: its title, text and tables, and the picture's alternative text if any."""
 
     title: str
     section: Callable[[Document], list[Part]]
@@ -145,44 +131,41 @@ def headline_table(results: Results, models: dict[str, str] | None = None) -> Ta
     """
     models = models or {"block-reach-2d": "plane", "panda-block-reach": "arm"}
     table = Table("metric", *models.values())
-    rows = {
-        "Spearman correlation of asked and achieved ℓ": _mean("dial", "spearman"),
-        "mean absolute error of ℓ": _mean("dial", "error"),
-        "achieved ℓ when asked 1": _mean("dial", "at_1"),
-        "achieved ℓ when asked −1": _mean("dial", "at_-1"),
-        "error of ℓ of the executed motion": _mean("closed-loop", "error"),
-        "success of executed motions": _success,
-        "one plan on one core, PyTorch / ONNX [ms]": _plan,
-    }
-    for text, cell in rows.items():
-        with well_formed("a result is not what `legibility` writes"):
-            cells = [cell(results, name) for name in models]
-        if set(cells) != {"–"}:
-            table.add_row(text, *cells)
+    rows: dict[str, tuple[str, Callable[[Any], str]]] = {
+        "Spearman correlation of asked and achieved ℓ": ("dial", _mean("spearman")),
+        "mean absolute error of ℓ": ("dial", _mean("error")),
+        "achieved ℓ when asked 1": ("dial", _mean("at_1")),
+        "achieved ℓ when asked −1": ("dial", _mean("at_-1")),
+        "error of ℓ of the executed motion": ("closed-loop", _mean("error")),
+        "success of executed motions": (
+            "execution", lambda result: percent(result["rows"]["policy"]["success"]["mean"])
+        ),
+    }  # fmt: skip
+    with well_formed("a result is not what `legibility` writes"):
+        for text, (kind, cell) in rows.items():
+            documents = results.get(kind, {})
+            if documents.keys() & models.keys():
+                cells = (cell(documents[m]["result"]) if m in documents else "–" for m in models)
+                table.add_row(text, *cells)
+        if bench := results.get("bench", {}).get("cpu"):
+            plans = [_plan(bench["result"]["measurements"], name) for name in models]
+            if any(plans):
+                text = "one plan on one core, PyTorch / ONNX [ms]"
+                table.add_row(text, *(plan or "–" for plan in plans))
     return table
 
 
-def _mean(kind: str, metric: str) -> Callable[[Results, str], str]:
-    def cell(results: Results, name: str) -> str:
-        document = results.get(kind, {}).get(name)
-        return number(document["result"]["overall"][metric]["mean"], 4) if document else "–"
-
-    return cell
+def _mean(metric: str) -> Callable[[Any], str]:
+    return lambda result: number(result["overall"][metric]["mean"], 4)
 
 
-def _success(results: Results, name: str) -> str:
-    document = results.get("execution", {}).get(name)
-    return percent(document["result"]["rows"]["policy"]["success"]["mean"]) if document else "–"
-
-
-def _plan(results: Results, name: str) -> str:
-    document = results.get("bench", {}).get("cpu")
-    rows = document["result"]["measurements"] if document else []
+def _plan(measurements: list[dict[str, Any]], model: str) -> str:
+    """Times of a plan on one core by both backends; empty if there are none."""
     medians = [
-        measured(rows, metric="plan_one_core_ms", model=name, backend=backend).split(" ")[0]
+        measured(measurements, metric="plan_one_core_ms", model=model, backend=backend).split()[0]
         for backend in ("torch", "onnx")
     ]
-    return "–" if set(medians) == {"–"} else " / ".join(medians)
+    return "" if set(medians) == {"–"} else " / ".join(medians)
 
 
 @contextlib.contextmanager
@@ -202,12 +185,7 @@ def read_json(file: Path) -> Document:
     Raises:
         InvalidInputError: it cannot be read or holds no mapping.
     """
-    try:
-        content = json.loads(read_text(file, "JSON file"))
-    except ValueError as cause:
-        if isinstance(cause, InvalidInputError):
-            raise
-        raise InvalidInputError(f"{file} is not JSON: {cause}") from cause
+    content = read_document(file, "JSON file")
     if not isinstance(content, dict):
         raise InvalidInputError(f"{file} is not a result: it holds no mapping")
     return content

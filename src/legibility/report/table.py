@@ -8,32 +8,20 @@ import itertools
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
-__all__ = ["Bold", "Cell", "Column", "Part", "Table", "markdown", "number", "significant"]
+__all__ = ["Bold", "Column", "Part", "Table", "markdown", "number", "significant"]
 
 
-@dataclass(frozen=True)
-class Bold:
+class Bold(str):
     """A cell in bold."""
 
-    text: str
+    __slots__ = ()
 
 
-Cell = str | Bold
-
-
-@dataclass(frozen=True)
-class Column:
-    """The head of a column.
-
-    Attributes:
-        name: of the column.
-        left: whether cells are aligned left; numbers are aligned right.
-        group: name that neighbouring columns share, above their own.
-    """
+class Column(NamedTuple):
+    """The head of a column, aligned `left` or right, under the `group` of its neighbours if any."""
 
     name: str
     left: bool = False
@@ -56,14 +44,14 @@ class Table:
 
     def __init__(self, *columns: str | Column, title: str = "", text_columns: int = 1) -> None:
         self.columns = [
-            Column(c, left=i < text_columns) if isinstance(c, str) else c
+            c if isinstance(c, Column) else Column(c, left=i < text_columns)
             for i, c in enumerate(columns)
         ]
         self.title = title
-        self.rows: list[tuple[Cell, ...]] = []
+        self.rows: list[tuple[str, ...]] = []
         self.sections: set[int] = set()
 
-    def add_row(self, *cells: Cell) -> None:
+    def add_row(self, *cells: str) -> None:
         """Append a row of one cell a column."""
         assert len(cells) == len(self.columns), (cells, self.columns)
         self.rows.append(cells)
@@ -85,7 +73,7 @@ class Table:
         for index, row in enumerate(self.rows):
             if index in self.sections:
                 result.add_section()
-            result.add_row(*(Text(_text(c), "bold" * isinstance(c, Bold)) for c in row))
+            result.add_row(*(Text(cell, "bold" * isinstance(cell, Bold)) for cell in row))
         return result
 
     def markdown(self) -> str:
@@ -93,50 +81,39 @@ class Table:
         lines = [
             [column.text for column in self.columns],
             ["---" if column.left else "---:" for column in self.columns],
-            *([f"**{c.text}**" if isinstance(c, Bold) else c for c in row] for row in self.rows),
+            *([f"**{c}**" if isinstance(c, Bold) else c for c in row] for row in self.rows),
         ]
         lines = [f"| {' | '.join(c.replace('|', '∣') for c in line)} |" for line in lines]
         return "\n".join([*([f"**{self.title}**", ""] if self.title else []), *lines])
 
     def latex(self, comment: str = "") -> str:
         """The table as a `tabular` for booktabs, below `comment`."""
-        lines = [
-            *([f"% {comment}"] if comment else []),
-            rf"\begin{{tabular}}{{{''.join('l' if c.left else 'r' for c in self.columns)}}}",
-            r"\toprule",
-            *self._latex_groups(),
-            " & ".join(_latex(column.name) for column in self.columns) + r" \\",
-            *self._latex_rows(),
-            r"\bottomrule",
-            r"\end{tabular}",
-        ]
-        return "\n".join(lines) + "\n"
-
-    def _latex_rows(self) -> Iterator[str]:
-        for index, row in enumerate(self.rows):
-            if index == 0 or index in self.sections:
-                yield r"\midrule"
-            yield " & ".join(map(_latex, row)) + r" \\"
-
-    def _latex_groups(self) -> list[str]:
-        """The line of groups and the rules below them."""
-        cells, rules, first = [], [], 1
+        groups, rules, first = [], "", 1
         for group, columns in itertools.groupby(self.columns, key=lambda column: column.group):
             size = len(list(columns))
             if group:
-                cells.append(rf"\multicolumn{{{size}}}{{c}}{{{_latex(group)}}}")
-                rules.append(rf"\cmidrule(lr){{{first}-{first + size - 1}}}")
+                groups.append(rf"\multicolumn{{{size}}}{{c}}{{{_latex(group)}}}")
+                rules += rf"\cmidrule(lr){{{first}-{first + size - 1}}}"
             else:
-                cells += [""] * size
+                groups += [""] * size
             first += size
-        return [" & ".join(cells) + r" \\", "".join(rules)] if rules else []
+        lines = [f"% {comment}"] if comment else []
+        lines += [
+            rf"\begin{{tabular}}{{{''.join('l' if c.left else 'r' for c in self.columns)}}}",
+            r"\toprule",
+            *([" & ".join(groups) + r" \\", rules] if rules else []),
+            " & ".join(_latex(column.name) for column in self.columns) + r" \\",
+        ]
+        for index, row in enumerate(self.rows):
+            lines += [r"\midrule"] * (index == 0 or index in self.sections)
+            lines.append(" & ".join(map(_latex, row)) + r" \\")
+        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
     def csv(self) -> str:
         """The table as CSV with a header."""
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(column.text for column in self.columns)
-        writer.writerows(map(_text, row) for row in self.rows)
+        rows = [tuple(column.text for column in self.columns), *self.rows]
+        csv.writer(text, lineterminator="\n").writerows(rows)
         return text.getvalue()
 
 
@@ -170,10 +147,6 @@ def significant(value: float) -> str:
     return f"{value:.3g}" if 0 < abs(value) < 0.1 else number(value)
 
 
-def _text(cell: Cell) -> str:
-    return cell.text if isinstance(cell, Bold) else cell
-
-
 _SYMBOLS = str.maketrans({
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$",
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
@@ -182,6 +155,6 @@ _SYMBOLS = str.maketrans({
 })  # fmt: skip
 
 
-def _latex(cell: Cell) -> str:
-    text = re.sub(r"\bL\\_([dp])", r"\\(L_\1\\)", _text(cell).translate(_SYMBOLS))
+def _latex(cell: str) -> str:
+    text = re.sub(r"\bL\\_([dp])", r"\\(L_\1\\)", cell.translate(_SYMBOLS))
     return rf"\textbf{{{text}}}" if isinstance(cell, Bold) else text

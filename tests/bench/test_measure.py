@@ -1,6 +1,12 @@
-import numpy as np
+"""Timings are fair to all works, and a fresh process says what it took."""
 
-from legibility.bench.timing import interleaved, summary, timed
+import sys
+
+import numpy as np
+import pytest
+
+from legibility.bench.measure import interleaved, process_metrics, summary, timed
+from legibility.errors import WorkerError
 
 
 def test_works_take_turns_after_a_warm_up():
@@ -27,3 +33,16 @@ def test_interval_holds_the_median_as_often_as_it_says():
     intervals = [summary(rng.exponential(size=30)) for _ in range(400)]
     held = np.mean([i["low"] <= np.log(2) <= i["high"] for i in intervals])
     assert 0.93 <= held <= 0.99
+
+
+def test_a_process_that_plans():
+    metrics = process_metrics("block-reach-2d", "torch")
+    memory = ["memory_mb"] if sys.platform == "linux" else []
+    assert list(metrics) == ["import_ms", "load_ms", "first_plan_ms", *memory]
+    assert all(value > 0 for value in metrics.values())
+    assert metrics.get("memory_mb", 200) < 2000
+
+
+def test_a_process_that_fails():
+    with pytest.raises(WorkerError, match=r"loads none on torch failed: .*no weights 'none'"):
+        process_metrics("none", "torch")

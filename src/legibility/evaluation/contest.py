@@ -1,0 +1,216 @@
+"""The compared methods, and their executed motions on the same scenes, robots and seeds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from itertools import chain, islice
+from typing import NamedTuple
+
+import numpy as np
+
+from ..baselines.guided import GuidedPolicy
+from ..baselines.planners import archive_path, candidates_within, search, straight_path
+from ..checks import Array
+from ..drivers import Driver, Policy, RobotStates
+from ..envs.block_reach import BlockReachVector
+from ..errors import InvalidInputError
+from ..models.goal_policy import GoalPolicy
+from ..modulator import Modulator
+from ..motion.archive import Archive
+from ..motion.path import Path
+from ..parallel import Each, threads
+from ..rollout import Rollout
+from ..scene import Scene
+from .common import Progress, counter, execute, gather, plan_milliseconds, silent, world
+
+CANDIDATES = 64
+"""Paths drawn by the modulator's second row, which takes the best."""
+
+OURS = ("modulator", "modulator, candidates")
+BASELINE = "diffusion policy"
+"""The method without any notion of legibility; bold cells differ from it (paper, Table I)."""
+
+
+class Method(NamedTuple):
+    """A way to the goal: a path that stage 2 follows, or a `guided` policy without a path."""
+
+    text: str
+    dial: bool
+    guided: bool = False
+    paper: str = ""  # name in the paper's Table I
+
+
+METHODS = {
+    "straight line": Method("straight line", dial=False),
+    BASELINE: Method("Diffusion Policy", False, True, "Diffusion Policy"),
+    "legibility diffuser": Method("Legibility Diffuser", False, True, "Legibility Diffuser"),
+    "search": Method("search, in the time of a plan", dial=True),
+    "search, tenfold": Method("search, in ten times that", dial=True),
+    "modulator": Method("Legibility Modulator", dial=True, paper="Legibility Modulator"),
+    "modulator, candidates": Method(
+        f"the same, best of {CANDIDATES}", dial=True, paper="Legibility Modulator"
+    ),
+    "oracle": Method("Dataset Oracle, executed", dial=True, paper="Dataset Oracle"),
+}
+"""The compared methods, in the order of the tables."""
+
+
+class Job(NamedTuple):
+    """A motion to execute, with the seeds that all methods share."""
+
+    scene: Scene
+    target: int
+    level: float
+    env_seed: int
+    plan_seed: int
+
+
+class Motion(NamedTuple):
+    """An executed motion: states `(T, D)` [m], success and end reason."""
+
+    states: Array
+    success: bool
+    reason: str
+
+
+@threads(1)
+def search_sizes(modulator: Modulator, scene: Scene) -> tuple[int, int]:
+    """Curves that fit in the time of a plan in `scene`, and in ten times that, on one core."""
+    plan, observer = plan_milliseconds(modulator, scene, repeats=25), modulator.config.observer
+    few, many = (candidates_within(factor * plan, scene, 0, observer) for factor in (1, 10))
+    return few, many
+
+
+class Contest:
+    """All methods on the same scenes, levels, robots and seeds.
+
+    Args:
+        modulator: both stages; stage 2 follows the paths of all methods that have one.
+        policies: the goal-conditioned baselines by the name of their method.
+        kind: vector environment.
+        sizes: curves that the two searches draw.
+
+    Raises:
+        InvalidInputError: there is no stage 2, or a policy moves other robots.
+    """
+
+    def __init__(
+        self,
+        modulator: Modulator,
+        policies: dict[str, GoalPolicy],
+        kind: type[BlockReachVector],
+        sizes: tuple[int, int],
+    ) -> None:
+        policy = modulator.path_policy
+        if policy is None:
+            raise InvalidInputError(f"the model {modulator.name} has no stage 2 to compare")
+        for name, model in {modulator.name: policy, **policies}.items():
+            dim, limit = model.config.dim, model.config.limit
+            if (dim, limit) != (kind.dim, kind.max_displacement):
+                raise InvalidInputError(
+                    f"{name} acts in {dim}D within {limit} m a step, {world(kind)} in {kind.dim}D "
+                    f"within {kind.max_displacement} m"
+                )
+        self.modulator, self.policies, self.kind = modulator, policies, kind
+        self.policy, self.sizes = policy, sizes
+        self.observer = modulator.config.observer
+
+    @threads(1)
+    def times(self, scene: Scene) -> dict[str, dict[str, float]]:
+        """Median times [ms] on one core, by method: `plan`, before it can move, and `motion`, all.
+
+        They are of one motion with ℓ = 1 toward goal 0 of `scene`, without the simulation; the
+        oracle, whose archive is given, has none.
+        """
+        medians = {}
+        for name in METHODS:
+            if name != "oracle":
+                times = [self._timed(name, Job(scene, 0, 1.0, seed, seed)) for seed in range(6)]
+                plan, motion = np.median(times[1:], axis=0)
+                medians[name] = {"plan": float(plan), "motion": float(motion)}
+        return medians
+
+    def _timed(self, name: str, job: Job) -> tuple[float, float]:
+        started = time.perf_counter()
+        paths = self.paths(name, [job], [])
+        planned = time.perf_counter() - started
+        driver = _Stopwatch(self._driver(name, [job]))
+        self._execute([job], paths, driver)
+        if METHODS[name].guided:
+            return 1e3 * driver.times[0], 1e3 * sum(driver.times)
+        return 1e3 * planned, 1e3 * (planned + sum(driver.times))
+
+    def paths(self, name: str, jobs: Sequence[Job], archives: Sequence[Archive]) -> list[Path]:
+        """A path of a method for each of `jobs`; for a policy the straight line, not followed.
+
+        `archives` of each job's scene are for the oracle alone.
+        """
+        if name == "oracle":
+            return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]
+        if name.startswith("search"):
+            size = self.sizes[name != "search"]
+            return [search(*job[:3], self.observer, size, job.plan_seed) for job in jobs]
+        if name in OURS:
+            candidates = CANDIDATES if name == OURS[1] else 1
+            return [
+                self.modulator.plan(*job[:3], seed=job.plan_seed, num_candidates=candidates)
+                for job in jobs
+            ]
+        return [straight_path(*job[:3], self.observer) for job in jobs]
+
+    def motions(
+        self,
+        work: Sequence[tuple[str, Sequence[Job], Sequence[Archive]]],
+        each: Each,
+        progress: Progress = silent,
+    ) -> list[list[Motion]]:
+        """Execute methods' jobs, with the archives of the jobs' scenes, as many at once as fit."""
+        items: list[tuple[str, Sequence[Job], list[Path] | None]] = []
+        for name, jobs, archives in work:
+            # Archives are large: the oracle takes its paths before anything is sent.
+            paths = self.paths(name, jobs, archives) if name == "oracle" else None
+            for first in range(0, len(jobs), self.kind.at_once):
+                part = slice(first, first + self.kind.at_once)
+                items.append((name, jobs[part], paths and paths[part]))
+        advance = counter(progress, sum(len(jobs) for _, jobs, _ in work))
+        parts = gather(each, self._execute_item, items, lambda motions: advance(len(motions)))
+        motions = chain.from_iterable(parts)
+        return [list(islice(motions, len(jobs))) for _, jobs, _ in work]
+
+    @threads(1)
+    def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
+        name, jobs, paths = item
+        rollouts = self._execute(
+            jobs, paths or self.paths(name, jobs, []), self._driver(name, jobs)
+        )
+        return [Motion(r.states, r.success, r.reason) for r in rollouts]
+
+    def _driver(self, name: str, jobs: Sequence[Job]) -> Driver:
+        seed = jobs[0].plan_seed
+        if not METHODS[name].guided:
+            return Policy(self.policy, seed)
+        scenes, targets = [job.scene for job in jobs], [job.target for job in jobs]
+        return GuidedPolicy(self.policies[name], scenes, targets, seed)
+
+    def _execute(self, jobs: Sequence[Job], paths: list[Path], driver: Driver) -> list[Rollout]:
+        return execute(
+            self.modulator, self.kind, [job.scene for job in jobs],
+            [job.env_seed for job in jobs], {"target": [job.target for job in jobs]},
+            legibility=[job.level for job in jobs], paths=paths, driver=driver, replan=False,
+        )  # fmt: skip
+
+
+class _Stopwatch:
+    """A driver that records the time [s] of each chunk."""
+
+    def __init__(self, driver: Driver) -> None:
+        self.driver, self.with_path = driver, driver.with_path
+        self.times: list[float] = []
+
+    def __call__(self, robots: RobotStates) -> Array:
+        """See `Driver`."""
+        started = time.perf_counter()
+        actions = self.driver(robots)
+        self.times.append(time.perf_counter() - started)
+        return actions
