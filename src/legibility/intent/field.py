@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +19,7 @@ from ..checks import (
 )
 from ..errors import InvalidInputError
 
-__all__ = ["InformationPotentialField"]
+__all__ = ["InformationPotentialField", "potential_of_odds"]
 
 
 class InformationPotentialField:
@@ -103,16 +104,13 @@ class InformationPotentialField:
         return (x - self._origin) @ self._slope + self._intercept
 
     def _potential(self, x: Array, target: int) -> Array:
-        """`potential` of checked points: log(1 + Σ exp(logit_g − logit_g*)), stable both ways."""
+        """`potential` of checked points."""
         slope = np.delete(self._slope, target, axis=1) - self._slope[:, target, None]
         intercept = np.delete(self._intercept, target) - self._intercept[target]
         # One distractor at a time: sums over a short last axis are slow in NumPy.
-        odds = [(x - self._origin) @ slope[:, g] + intercept[g] for g in range(len(intercept))]
-        against = odds[0]
-        if len(odds) > 1:
-            top = functools.reduce(np.maximum, odds)
-            against = top + np.log(sum(np.exp(o - top) for o in odds))
-        return np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))
+        return potential_of_odds(
+            [(x - self._origin) @ slope[:, g] + intercept[g] for g in range(len(intercept))]
+        )
 
     def grid(self, workspace: ArrayLike, resolution: int, target: int) -> Array:
         """φ at the centres of a uniform grid over `workspace (2, D)` [m].
@@ -127,3 +125,18 @@ class InformationPotentialField:
         axes = [low + centres * (high - low) for low, high in workspace.T]
         points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
         return self.potential(points, target)
+
+
+def potential_of_odds(odds: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """`φ = log(1 + Σ_g exp(odds_g))` (eq. 3) of log odds `log P(g|x) − log P(g*|x)`, `(...)`.
+
+    Stable for odds of any size, and of their dtype.
+
+    Args:
+        odds: of each of the G − 1 distractors, `(...)`.
+    """
+    against = odds[0]
+    if len(odds) > 1:
+        top = functools.reduce(np.maximum, odds)
+        against = top + np.log(sum(np.exp(o - top) for o in odds))
+    return np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))
