@@ -27,8 +27,9 @@ from ..parallel import threads
 from ..scene import Scene
 from ..seeds import stream_seed
 from ..training.configuration import PathTrainingConfig
+from ..training.loop import Run
 from ..training.path import train_path
-from ..training.team import choose_device
+from ..training.team import Team, choose_device
 from .process import process_metrics
 from .run import BenchConfig
 from .timing import Work, interleaved, summary, timed
@@ -138,10 +139,8 @@ def training(dim: int, config: BenchConfig) -> Rows:
             ends.append(time.perf_counter())
 
         with tempfile.TemporaryDirectory() as folder:
-            train_path(
-                scenes, scenes, folder, settings,
-                device=str(device), precision=precision, progress=progress,
-            )  # fmt: skip
+            team = Team.join(str(device), precision)
+            train_path(scenes, scenes, Run(Path(folder), team, progress), settings)
         return np.diff(ends[_WARM_UP - 1 : -1]).tolist()  # the last step also validates
 
     entries: list[Entry] = []

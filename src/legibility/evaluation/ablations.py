@@ -1,4 +1,4 @@
-"""What each part of stage 1 is worth: the dial without it, or with more or less of it."""
+"""Ablations of stage 1: the dial without a part of it, or with more or less of it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from ..models.configuration import PathDiffuserConfig
 from ..models.pretrained import pretrained_folder, save_stage
 from ..modulator import Modulator
 from ..training.configuration import FIXED_BY_DATA, PathTrainingConfig
+from ..training.loop import Run
 from ..training.path import check_data, train_path
-from ..training.team import choose_device
+from ..training.team import Team
 from .configuration import AblationsConfig, DialConfig
 from .dial import evaluate_dial
 
@@ -31,11 +32,11 @@ COLUMNS = {
     "at_-1": "ℓ when asked −1",
     "length_ratio_at_0": "length when asked 0",
 }
-"""Headings of the dial's figures that a table of the rows shows."""
+"""Headings of the dial's metrics that a table of the rows shows."""
 
 
 class Variant(NamedTuple):
-    """A row: the weights as they are, sampled in some way, or a small run on `scenes` scenes."""
+    """A row: the given weights, sampled in some way, or a small run on `scenes` scenes."""
 
     text: str
     steps: int | None = None
@@ -46,13 +47,13 @@ class Variant(NamedTuple):
 
 
 def variants(config: AblationsConfig, model: PathDiffuserConfig) -> dict[str, Variant]:
-    """The rows by name; what is no other than the weights as they are, or the reference, is not.
+    """The rows by name, without those that repeat the given weights or the reference.
 
     Raises:
         InvalidInputError: the model cannot be sampled so.
     """
-    own = f"sampling steps {model.sampling_steps}, guidance {model.guidance:g}"
-    rows = {"as-shipped": Variant(f"the weights as they are: {own}")}
+    sampling = f"sampling steps {model.sampling_steps}, guidance {model.guidance:g}"
+    rows = {"as-shipped": Variant(f"the weights as they are: {sampling}")}
     for steps in config.sampling_steps:
         if not model.distilled and replace(model, sampling_steps=steps) != model:
             rows[f"steps-{steps}"] = Variant(f"sampling steps {steps}", steps=steps)
@@ -80,34 +81,34 @@ def evaluate_ablations(
 ) -> dict[str, Any]:
     """Measure the dial of each of `variants`, training the small runs among them.
 
-    A small run has the network of `model` and is trained with the settings of `PathTrainingConfig`
-    but for its steps. Interrupted, the same call goes on: datasets, runs and rows that are in
-    `folder` are not made anew.
+    A small run has the network of `model` and the settings of `PathTrainingConfig`, apart from its
+    steps. Interrupted, the same call resumes: datasets, runs and rows that are in `folder` are
+    kept.
 
     Args:
         model: name of weights that came with the package, or a folder.
-        data: anchored labelled trajectories that small runs learn the first scenes of.
-        folder: of rank-labelled and validation data, and of each row: a small run's checkpoint, log
-            and weights, and what was measured.
-        config: what is evaluated.
+        data: labelled trajectories with anchored labels; small runs learn their first scenes.
+        folder: of rank-labelled and validation data, and of each row: checkpoint, log and weights
+            of a small run, and the measured dial.
+        config: the rows and their measurement.
         workers: processes that make data.
-        device: where small runs are trained; a GPU where there is one.
-        progress: called with the scenes made and measured and the optimiser steps done, their
-            number in all, and a line once a row is measured.
+        device: of small runs; a GPU where there is one.
+        progress: called with the number of scenes and optimiser steps done, that of all, and a line
+            for each row.
 
     Returns:
         `rows`: of each variant its `text`, whether it is `small_run`, `sha256` of its weights,
         `overall` and `plan_ms` as of `evaluate_dial`; `data`: digest of the training data.
 
     Raises:
-        InvalidInputError: the data are not for this model, or too few.
+        InvalidInputError: the data are of another observer than the model, or too few.
         CheckpointError: the folder holds runs with other settings.
     """
     config, folder = config or AblationsConfig(), Path(folder)
     modulator = Modulator.from_pretrained(model)
     rows = variants(config, modulator.config)
     _check(data, modulator.config)
-    choose_device(device)  # refused before anything is made
+    team = Team.join(device)
     parts = {number: data.first(number) for number in {v.scenes for v in rows.values()} if number}
 
     small = [variant for variant in rows.values() if variant.scenes]
@@ -121,7 +122,7 @@ def evaluate_ablations(
     done = 0
 
     def part(size: int) -> Callable[..., None]:
-        """The progress of the next part, in which there is `size` to do."""
+        """The progress of the next part, of `size` scenes or steps."""
         nonlocal done
         start, done = done, done + size
         return lambda now, of, *_: progress(start + size * now // of, total, "")
@@ -140,20 +141,18 @@ def evaluate_ablations(
                 sets["rank-validation" if rank else "validation"],
                 replace(_undistilled(modulator.config), field=variant.field),
                 PathTrainingConfig(steps=config.training_steps),
-                folder / name,
-                device,
-                part(config.training_steps),
+                Run(folder / name, team, part(config.training_steps)),
             )
-        found = _measured(
+        dial = _measured(
             weights,
             config.dial(variant.steps, variant.guidance),
             folder / name / "dial.json",
             part(config.scenes),
         )
-        result[name] = {"text": variant.text, "small_run": bool(variant.scenes), **found}
-        overall = found["overall"]
-        figures = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
-        progress(done, total, f"{variant.text}: {', '.join(figures)}")
+        result[name] = {"text": variant.text, "small_run": bool(variant.scenes), **dial}
+        overall = dial["overall"]
+        metrics = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
+        progress(done, total, f"{variant.text}: {', '.join(metrics)}")
     return {"rows": result, "data": data.digest}
 
 
@@ -186,23 +185,19 @@ def _trained(
     validation: Dataset,
     network: PathDiffuserConfig,
     training: PathTrainingConfig,
-    folder: Path,
-    device: str | None,
-    progress: Callable[..., None],
+    run: Run,
 ) -> Path:
-    """Train a small run in `folder`, or go on with it; the folder of its weights."""
+    """Train a small run, or resume it; the folder of its weights."""
     settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
-    trained = train_path(
-        data, validation, folder, training, device=device, progress=progress, **settings
-    )
-    save_stage(folder / "weights", "path", trained, None)
-    return folder / "weights"
+    trained = train_path(data, validation, run, training, **settings)
+    save_stage(run.folder / "weights", "path", trained.model, trained.record)
+    return run.folder / "weights"
 
 
 def _measured(
     weights: Path, config: DialConfig, file: Path, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """The dial of `weights`, or what `file` holds if it is of the same; it is kept there."""
+    """The dial of `weights`, kept in `file` and read from there if it is of these settings."""
     sha256 = file_hash(weights / "path.safetensors")
     of = {"sha256": sha256, "config": asdict(config)}
     try:
@@ -211,7 +206,7 @@ def _measured(
             return kept["result"]
     except (OSError, ValueError, LookupError, TypeError):
         pass  # not measured yet
-    found = evaluate_dial(Modulator.from_pretrained(weights), config, progress=progress)
-    result = {"sha256": sha256, "overall": found["overall"], "plan_ms": found["plan_ms"]}
+    dial = evaluate_dial(Modulator.from_pretrained(weights), config, progress=progress)
+    result = {"sha256": sha256, "overall": dial["overall"], "plan_ms": dial["plan_ms"]}
     write_json(file, {"of": of, "result": result})
     return result
