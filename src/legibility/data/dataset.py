@@ -197,9 +197,7 @@ class Dataset:
             InvalidInputError: the dataset has fewer.
         """
         if count("scenes", num) > len(self.scenes):
-            raise InvalidInputError(
-                f"scenes must be at most {len(self.scenes)}, the number in the data, got {num}"
-            )
+            raise InvalidInputError(f"the data have {len(self.scenes)} scenes, {num} are asked")
         if num == len(self.scenes):
             return self
         return Dataset(

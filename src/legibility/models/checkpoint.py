@@ -19,9 +19,9 @@ __all__ = ["load_state", "load_tensors", "save_tensors"]
 
 
 def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], header: Any = None) -> None:
-    """Write `tensors` and a JSON `header` to `path`, atomically and in a fixed order."""
+    """Write `tensors` and a JSON `header` to `path`, atomically; the order of `tensors` is free."""
     plain = {k: tensors[k].detach().contiguous().cpu() for k in sorted(tensors)}
-    metadata = {"header": json.dumps(header, sort_keys=True)}
+    metadata = {"header": json.dumps(header)}
     write_bytes(path, save(plain, metadata=metadata))
 
 

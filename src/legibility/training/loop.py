@@ -139,13 +139,14 @@ def train(
                         f"the loss is {metrics['loss']} at step {state.step}; "
                         "try a lower learning_rate"
                     )
-            if not team.main:
-                continue
-            if validates:
+            if validates and team.main:
                 metrics |= validate(state.average)
             if metrics:
                 times = {"step": state.step, "seconds": round(state.seconds, 3)}
                 state.log.rows.append(times | metrics)
+            if not team.main:
+                continue
+            if metrics:
                 state.log.write(run.folder / LOG)
                 if board:
                     for name, value in metrics.items():
