@@ -16,11 +16,12 @@ import legibility as lg
 from legibility.curves import NUM_WAYPOINTS, arc_length, path_curve
 from legibility.data import dataset
 from legibility.data.configuration import DatasetConfig
-from legibility.data.dataset import LABEL_KNOTS, Dataset, generate, select
+from legibility.data.dataset import LABEL_KNOTS, Dataset, generate, select, shard_names
+from legibility.data.scenes import SceneStream
 from legibility.errors import DatasetError, InvalidInputError, OutputError
 from legibility.intent.metrics import SCORE_POINTS
+from legibility.intent.observer import Observer
 from legibility.motion.archive import DEFAULT_CELLS, build_archive
-from legibility.scene import DEFAULT_SIGMA
 from legibility.seeds import STREAMS
 
 SOURCE = str(Path(lg.__file__).parents[1])
@@ -64,8 +65,9 @@ def copy(tiny, tmp_path, small_shards):
 def data(request, tmp_path_factory):
     dim, label = request.param
     config = DatasetConfig(
-        dim=dim, scenes=5, cells=24 if dim == 2 else 10, per_scene=65, label=label, seed=4
-    )
+        dim=dim, scenes=5, cells=24 if dim == 2 else 10, per_scene=65, seed=4,
+        observer=Observer(label=label),
+    )  # fmt: skip
     return generate(config, tmp_path_factory.mktemp("data"))
 
 
@@ -86,7 +88,8 @@ class TestSameBytes:
     def test_for_any_number_of_threads(self, tiny, tmp_path):
         script = (
             "import sys; from legibility.data import dataset; dataset.SHARD = 4\n"
-            "dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])"
+            "from legibility.data.configuration import DatasetConfig\n"
+            "dataset.generate(DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])"
         )
         for threads in ("1", "2"):
             folder = tmp_path / threads
@@ -101,7 +104,7 @@ class TestSameBytes:
     @pytest.mark.parametrize("lost", [[0], [1], [0, 1]])
     def test_after_shards_were_not_reached(self, copy, tiny, lost):
         for number in lost:
-            (copy / TINY.shard_names[number]).unlink()
+            (copy / shard_names(TINY)[number]).unlink()
         manifest = json.loads((tiny / "manifest.json").read_text())
         begun = {key: manifest[key] for key in ("format", "config")}
         (copy / "manifest.json").write_text(json.dumps({**begun, "complete": False}))
@@ -117,7 +120,7 @@ class TestSameBytes:
         script = """
 import os, signal, sys
 from legibility import files
-from legibility.data import dataset, shards
+from legibility.data import configuration, dataset, shards
 dataset.SHARD = 4
 def half(path, content):
     if "00001" not in path.name:
@@ -126,7 +129,7 @@ def half(path, content):
         temporary.write_bytes(content[: len(content) // 2])
         os.kill(os.getpid(), signal.SIGKILL)
 shards.write_bytes = half
-dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
+dataset.generate(configuration.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
 """
         folder = tmp_path / "killed"
         run = subprocess.run(
@@ -151,7 +154,7 @@ dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv
         "change", [lambda file: file.unlink(), lambda file: file.write_bytes(b"x")]
     )
     def test_a_complete_one_that_was_damaged_is_repaired(self, copy, tiny, change):
-        change(copy / TINY.shard_names[1])
+        change(copy / shard_names(TINY)[1])
         with pytest.raises(DatasetError, match="missing or not as it was written"):
             Dataset.load(copy)
         generate(TINY, copy)
@@ -167,7 +170,7 @@ dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv
 
     def test_damaged_shard_of_an_interrupted_run_is_made_again(self, copy, tiny):
         spoil_manifest(copy, complete=False)
-        shard = copy / TINY.shard_names[0]
+        shard = copy / shard_names(TINY)[0]
         content = bytearray(shard.read_bytes())
         content[len(content) // 3] ^= 255
         shard.write_bytes(content)
@@ -188,7 +191,7 @@ class TestRefuses:
         assert hashes(copy) == before
 
     def test_a_changed_shard(self, copy):
-        shard = copy / TINY.shard_names[1]
+        shard = copy / shard_names(TINY)[1]
         content = bytearray(shard.read_bytes())
         content[len(content) // 2] ^= 1
         shard.write_bytes(content)
@@ -196,13 +199,13 @@ class TestRefuses:
             Dataset.load(copy)
 
     def test_a_truncated_shard(self, copy):
-        shard = copy / TINY.shard_names[0]
+        shard = copy / shard_names(TINY)[0]
         shard.write_bytes(shard.read_bytes()[:-10])
         with pytest.raises(DatasetError, match=r"train-00000\.parquet is missing or not as it was"):
             Dataset.load(copy)
 
     def test_a_missing_shard(self, copy):
-        (copy / TINY.shard_names[1]).unlink()
+        (copy / shard_names(TINY)[1]).unlink()
         with pytest.raises(DatasetError, match=r"train-00001\.parquet is missing"):
             Dataset.load(copy)
 
@@ -268,14 +271,14 @@ class TestConfig:
     def test_defaults_of_the_dimension_are_filled_in(self):
         for dim in (2, 3):
             config = DatasetConfig(dim=dim)
-            assert (config.sigma, config.cells) == (DEFAULT_SIGMA[dim], DEFAULT_CELLS[dim])
+            assert (config.observer, config.cells) == (Observer.paper(dim), DEFAULT_CELLS[dim])
 
     @pytest.mark.parametrize(
         "config",
         [
             DatasetConfig(),
-            DatasetConfig(dim=3, scenes=3, seed=5, stream="evaluation", goals=(3, 3)),
-            DatasetConfig(per_scene=33, label="rank", efficiency=0.5, sigma=0.2, alpha=1, cells=9),
+            DatasetConfig(dim=3, scenes=3, seed=5, stream="validation", goals=(3, 3)),
+            DatasetConfig(per_scene=33, efficiency=0.5, cells=9, observer=Observer(0.2, 1, "rank")),
         ],
         ids=str,
     )
@@ -287,7 +290,7 @@ class TestConfig:
             DatasetConfig.from_dict({**DatasetConfig().to_dict(), "speed": 1})
 
     def test_shard_names(self):
-        names = DatasetConfig(scenes=129, stream="validation").shard_names
+        names = shard_names(DatasetConfig(scenes=129, stream="validation"))
         assert names == [f"validation-0000{i}.parquet" for i in range(3)]
 
     @pytest.mark.parametrize(
@@ -301,6 +304,7 @@ class TestConfig:
             {"seed": -1},
             {"seed": 0.5},
             {"stream": "test"},
+            {"stream": "evaluation"},
             {"goals": (1, 4)},
             {"goals": (4, 3)},
             {"goals": (2, 13)},
@@ -310,15 +314,9 @@ class TestConfig:
             {"goals": "ab"},
             {"per_scene": 2},
             {"per_scene": 3.5},
-            {"label": "linear"},
             {"efficiency": 0},
             {"efficiency": np.nan},
             {"efficiency": "much"},
-            {"sigma": -0.1},
-            {"sigma": np.nan},
-            {"sigma": "wide"},
-            {"alpha": -1},
-            {"alpha": np.nan},
             {"cells": 1},
             {"cells": 2.5},
         ],
@@ -333,7 +331,7 @@ class TestScenes:
     @pytest.mark.parametrize("dim", [2, 3])
     def test_streams_seeds_and_indices_never_share_a_scene(self, dim):
         scenes = [
-            DatasetConfig(dim=dim, stream=stream, seed=seed, cells=8).scene(index)[0]
+            SceneStream(stream, dim, seed=seed).scene(index)
             for stream in STREAMS
             for seed in (0, 1, 2)
             for index in (0, 1, 2)
@@ -343,18 +341,19 @@ class TestScenes:
         )
 
     def test_other_settings_keep_the_scenes(self):
-        """So that labels, sigmas and archives can be compared on the same scenes."""
-        plain = DatasetConfig(cells=8).scene(3)[0]
-        other = DatasetConfig(cells=9, label="rank", sigma=0.3, per_scene=5, scenes=9)
-        assert other.scene(3)[0] == plain
+        """So that observers and archives can be compared on the same scenes."""
+        observer = Observer(sigma=0.3, label="rank")
+        other = DatasetConfig(cells=9, observer=observer, per_scene=5, scenes=9)
+        assert other.source.scene(3) == DatasetConfig(cells=8).source.scene(3)
 
     def test_number_of_goals(self):
-        found = [DatasetConfig(goals=(3, 4), cells=8).scene(i)[0].num_goals for i in range(12)]
-        assert set(found) == {3, 4}
+        stream = SceneStream("train", goals=(3, 4))
+        assert {stream.scene(i).num_goals for i in range(12)} == {3, 4}
 
     def test_archive_is_of_the_configuration(self):
-        _, archive = DatasetConfig(cells=9, label="rank", sigma=0.3, alpha=1.0).scene(0)
-        assert (archive.label, archive.field.sigma, archive.alpha) == ("rank", 0.3, 1.0)
+        observer = Observer(0.3, 1.0, "rank")
+        archive = SceneStream("train").archive(0, observer, cells=9)
+        assert (archive.observer, archive.field.sigma) == (observer, 0.3)
         assert archive.target == 0
         assert len(archive) <= 81
 
@@ -383,12 +382,20 @@ class TestContent:
             for name, values in data.summary.items():
                 np.testing.assert_array_equal(other.summary[name], values)
 
-    def test_scenes_and_summary_are_those_of_the_configuration(self, data):
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def archives(data):
+        """Those of the scenes, made again."""
+        config = data.config
+        indices = range(config.scenes)
+        return [config.source.archive(i, config.observer, config.cells) for i in indices]
+
+    def test_scenes_and_summary_are_those_of_the_configuration(self, data, archives):
         for index, scene in enumerate(data.scenes):
-            expected, archive = data.config.scene(index)
-            assert scene == expected
-            found = {name: values[index] for name, values in data.summary.items()}
-            assert found == {
+            archive = archives[index]
+            assert scene == archive.scene
+            summary = {name: values[index] for name, values in data.summary.items()}
+            assert summary == {
                 "elites": len(archive),
                 "candidates": archive.num_candidates,
                 "coverage": archive.coverage,
@@ -401,12 +408,9 @@ class TestContent:
         ends = [np.tile(end, (len(waypoints), 1, 1)) for end in (scene.start, scene.goals[0])]
         return path_curve(np.concatenate([ends[0], waypoints, ends[1]], axis=1), SCORE_POINTS)
 
-    def test_labels_are_those_of_the_curve_through_the_waypoints(self, data):
-        for index in range(data.config.scenes):
-            archive = data.config.scene(index)[1]
-            scores = lg.metrics.legibility_score(
-                self.curves(data, index), archive.field, 0, archive.alpha
-            )
+    def test_labels_are_those_of_the_curve_through_the_waypoints(self, data, archives):
+        for index, archive in enumerate(archives):
+            scores = archive.observer.score(self.curves(data, index), archive.scene, 0)
             np.testing.assert_allclose(data.scores[index], scores, rtol=1e-4, atol=1e-5)
             np.testing.assert_allclose(data.labels[index], archive.label_of(scores), atol=5e-3)
 
@@ -438,7 +442,7 @@ class TestContent:
         assert (data.labels[:, -1] > 0.9).all()
 
     def test_level_zero_is_the_straight_line(self, data):
-        if data.config.label == "rank":
+        if data.config.observer.label == "rank":
             return  # its ℓ = 0 is the median
         middle = data.config.per_scene // 2
         for index, scene in enumerate(data.scenes):

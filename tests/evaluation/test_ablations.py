@@ -13,6 +13,7 @@ from legibility.evaluation import ablations
 from legibility.evaluation.ablations import COLUMNS, evaluate_ablations, variants
 from legibility.evaluation.configuration import AblationsConfig
 from legibility.evaluation.dial import FIGURES
+from legibility.intent.observer import Observer
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser
@@ -111,10 +112,10 @@ class TestEvaluate:
         for name in SMALL:
             stages, training = load_stages(folder / name / "weights")
             config = stages["path"].config
-            made[name] = (config.field, config.label, training["path"]["data"]["scenes"])
-            assert training["path"]["training"]["steps"] == 2
+            made[name] = (config.field, config.observer.label, training["path"].data["scenes"])
+            assert training["path"].training["steps"] == 2
             if name != "rank-label":
-                assert training["path"]["digest"] == f"{data.digest}[:{made[name][2]}]"
+                assert training["path"].digest == f"{data.digest}[:{made[name][2]}]"
             assert config.channels == TINY.channels
         assert made == {
             "reference": (True, "anchored", 2),
@@ -166,15 +167,15 @@ class TestEvaluate:
     def test_other_training_in_the_same_folder(self, evaluated, model, data, small):
         folder, _, _ = evaluated
         other = AblationsConfig(**{**vars(SHORT), "training_steps": 3})
-        with pytest.raises(CheckpointError, match="another run"):
+        with pytest.raises(CheckpointError, match=r"training\.steps is 2 in the .* and 3 now"):
             evaluate_ablations(model, data, folder, other)
 
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
             ({"stream": "validation"}, "must have stream train, theirs is validation"),
-            ({"label": "rank"}, "must have label anchored, theirs is rank"),
-            ({"sigma": 0.2}, "the data have sigma 0.2, the model 0.15"),
+            ({"observer": Observer(label="rank")}, "must have label anchored, theirs is rank"),
+            ({"observer": Observer(sigma=0.2)}, "the data have sigma 0.2, the model 0.15"),
         ],
     )
     def test_data_that_are_not_for_the_model(self, changes, message, model, tmp_path):

