@@ -80,7 +80,7 @@ def test_ends_may_be_left_out(teacher, data):
 
 @pytest.mark.parametrize("steps", [1, 2])
 def test_a_student_learns_what_its_teacher_draws(data, tmp_path, steps):
-    """The worst of five seeds: 0.44 of the distance before."""
+    """The worst of five seeds on two instruction sets: 0.44 of the distance before."""
     teacher = make_teacher(data, std=0.1)
     config = dataclasses.replace(SHORT, sampling_steps=steps, learning_rate=5e-3, jerk_weight=0.0)
     seen = []
@@ -121,8 +121,8 @@ def test_a_part_of_the_loss_counts_by_its_weight_and_falls_along_its_gradient(da
     student = tiny_diffuser(data, seed + 10, sampling_steps=1, guidance=0.0)
     generator = torch.Generator().manual_seed(seed)
     torch.nn.init.normal_(student.unet.outlet.weight, std=0.3, generator=generator)
-    if part == "wall":
-        student.spread *= 3  # so that some paths leave the workspace
+    if part != "label":
+        student.spread *= 3  # so that its paths leave the workspace and have more jerk
     config = dataclasses.replace(SHORT, per_scene=32, jerk_weight=0.0)
     batches = drawn(teacher, data, config)
 
