@@ -7,44 +7,30 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 LEGIBILITY := $(BIN)/python -m legibility
 STAMP := $(VENV)/.installed
-
-# What `make weights` and `make results` use; each can be set on the command line. Results are
-# reported on seed 1: scenes of seed 0 were looked at while the sampler was made.
-MODELS ?= block-reach-2d panda-block-reach
-SCENES ?= 12800
-STEPS ?= 12000
-DEMONSTRATIONS ?= 4
-DEMONSTRATED ?= 3200
-POLICY_STEPS ?= 8000
-SEED ?= 0
 WORKERS ?= 2
+PYTEST_ARGS ?= -n auto
+# Of `make weights`: models, their data and the lengths of their training.
+MODELS ?= block-reach-2d panda-block-reach
 RUNS ?= runs
-EVALUATION_SEED ?= 1
-RESULTS ?= results
-PYTEST_ARGS ?=
-
-# Of each model: its dimension, and its robot in the names of the baselines.
-DIM_block-reach-2d := 2
-DIM_panda-block-reach := 3
-ROBOT_block-reach-2d := 2d
-ROBOT_panda-block-reach := panda
+SCENES ?= 12800
+DEMONSTRATED ?= 3200
+STEPS ?= 12000
+POLICY_STEPS ?= 8000
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
-# pyright: do not ask the network for a newer version.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv install demo test lint format weights data results bench clean distclean \
-	$(MODELS:%=weights-%) $(MODELS:%=weights-%-fast) $(MODELS:%=data-%)
+.PHONY: help venv install demo test lint format weights results report bench clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
-venv: $(BIN)/python ## make $(VENV) if it is missing (PYTHON=python3.12 chooses the interpreter)
+venv: $(BIN)/python ## create $(VENV) if it is missing (PYTHON=python3.12 chooses the interpreter)
 
 install: $(STAMP) ## install the package and its tested dependencies into $(VENV)
 
-demo: $(STAMP) ## plan and execute a scene on the shipped weights (ARM=1: the Panda instead)
+demo: $(STAMP) ## plan and execute a scene with the shipped weights (ARM=1: the Panda instead)
 ifdef ARM
 	$(LEGIBILITY) execute examples/panda.yaml --target 0 --legibility -1:1:5 \
 		--spectrum out/arm.png --video out/arm.gif --json out/arm.json
@@ -55,118 +41,50 @@ else
 		--figure out/demo.png --video out/demo.gif --json out/demo.json
 endif
 
-test: lint ## lint, then every test
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+test: lint ## lint, then every test, on all cores with one thread each
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST_ARGS)
 
 lint: $(STAMP) ## ruff (rules and format) and pyright
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	@if $(BIN)/pyright --version >/dev/null 2>&1; then \
-		echo $(BIN)/pyright; $(BIN)/pyright --pythonpath $(BIN)/python; \
-	else \
-		echo "SKIPPED: pyright cannot start here ('$(BIN)/pyright --version' fails); types are unchecked"; \
-	fi
+	@if $(BIN)/pyright --version >/dev/null 2>&1; then $(BIN)/pyright --pythonpath $(BIN)/python; \
+	else echo "SKIPPED: pyright cannot start here; types are unchecked"; fi
 
-format: $(STAMP) ## let ruff repair what it can
+format: $(STAMP) ## apply ruff's fixes and format
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-weights: $(MODELS:%=weights-%-fast) ## make all shipped weights from nothing, then measure them
-	$(MAKE) results
+weights: $(MODELS:%=weights-%) ## make all shipped weights from nothing; interrupted, it resumes
 
-data: $(MODELS:%=data-%)
+# Data; the teacher (stage 1), stage 2 and the student, which is shipped; then the baselines.
+weights-%: ROBOT = $(if $(findstring panda,$*),panda,2d)
+weights-%: FROM = --data $(RUNS)/$*/data --seed 0
+weights-%: AND = $(FROM) --validation $(RUNS)/$*/path/validation
+weights-%: SHIPPED = src/legibility/weights
+weights-%: $(STAMP)
+	$(LEGIBILITY) data --dim $(if $(findstring panda,$*),3,2) --scenes $(SCENES) --seed 0 \
+		--workers $(WORKERS) --demonstrations 4 --demonstrated $(DEMONSTRATED) --out $(RUNS)/$*/data
+	$(LEGIBILITY) train path $(FROM) --steps $(STEPS) --workers $(WORKERS) \
+		--out $(RUNS)/$*/path --weights $(RUNS)/$*/teacher
+	$(LEGIBILITY) train policy $(AND) --steps $(POLICY_STEPS) \
+		--out $(RUNS)/$*/policy --weights $(RUNS)/$*/teacher
+	$(LEGIBILITY) train distill --teacher $(RUNS)/$*/teacher $(AND) \
+		--out $(RUNS)/$*/student --weights $(SHIPPED)/$*
+	$(LEGIBILITY) train diffusion-policy $(AND) --steps $(POLICY_STEPS) \
+		--out $(RUNS)/$*/diffusion-policy --weights $(SHIPPED)/diffusion-policy-$(ROBOT)
+	$(LEGIBILITY) train legibility-diffuser $(AND) --steps $(POLICY_STEPS) \
+		--out $(RUNS)/$*/legibility-diffuser --weights $(SHIPPED)/legibility-diffuser-$(ROBOT) \
+		--json results/tuning-legibility-diffuser-$(ROBOT).json
 
-$(MODELS:%=data-%): data-%: $(STAMP)
-	$(LEGIBILITY) data --dim $(DIM_$*) --scenes $(SCENES) --seed $(SEED) --workers $(WORKERS) \
-		--demonstrations $(DEMONSTRATIONS) --demonstrated $(DEMONSTRATED) --out $(RUNS)/$*/data
+results: $(STAMP) ## measure what is missing or out of date of experiments.toml (NAMES="…": only these)
+	$(BIN)/python -m legibility.report.experiments --workers $(WORKERS) $(NAMES)
+	$(MAKE) report
 
-$(MODELS:%=weights-%): weights-%: data-%
-	$(LEGIBILITY) train path --data $(RUNS)/$*/data --out $(RUNS)/$*/path --steps $(STEPS) \
-		--seed $(SEED) --workers $(WORKERS) --weights src/legibility/weights/$*
-	$(LEGIBILITY) train policy --data $(RUNS)/$*/data --out $(RUNS)/$*/policy \
-		--steps $(POLICY_STEPS) --seed $(SEED) --validation $(RUNS)/$*/path/validation \
-		--weights src/legibility/weights/$*
-	for baseline in diffusion-policy legibility-diffuser; do \
-		$(LEGIBILITY) train $$baseline --data $(RUNS)/$*/data --out $(RUNS)/$*/$$baseline \
-			--steps $(POLICY_STEPS) --seed $(SEED) --validation $(RUNS)/$*/path/validation \
-			--weights src/legibility/weights/$$baseline-$(ROBOT_$*) || exit 1; \
-	done
-
-# The student of each, and its stage 2.
-$(MODELS:%=weights-%-fast): weights-%-fast: weights-%
-	$(LEGIBILITY) train distill --teacher $* --data $(RUNS)/$*/data --out $(RUNS)/$*/fast \
-		--seed $(SEED) --validation $(RUNS)/$*/path/validation --weights src/legibility/weights/$*-fast
-
-# Everything behind the README's tables and figures. What is done is noted in $(DONE), so an
-# interrupted run goes on; new weights, or `rm -r $(DONE)`, have it measured anew.
-DONE = $(RUNS)/$(RESULTS)-seed-$(EVALUATION_SEED)
-ON = --seed $(EVALUATION_SEED) --json $(RESULTS)/$*.json
-SHARED = --workers $(WORKERS) $(ON)
-PANDA_SCENES := --model panda-block-reach --goals 2..4
-PLANE_SCENES := --model block-reach-2d --goals 2..6
-FAST_PANDA_SCENES := --model panda-block-reach-fast --goals 2..4
-FAST_PLANE_SCENES := --model block-reach-2d-fast --goals 2..6
-dial-block-reach-2d = evaluate dial $(PLANE_SCENES) --scenes 200 $(SHARED)
-closed-loop-block-reach-2d = evaluate dial $(PLANE_SCENES) --scenes 200 --closed-loop $(SHARED)
-execution-block-reach-2d = evaluate execution $(PLANE_SCENES) --scenes 200 --rollouts 5000 $(SHARED)
-dial-panda-block-reach = evaluate dial $(PANDA_SCENES) --scenes 200 $(SHARED)
-closed-loop-panda-block-reach = evaluate dial $(PANDA_SCENES) --scenes 100 --levels 11 --samples 2 \
-	--closed-loop $(SHARED)
-execution-panda-block-reach = evaluate execution $(PANDA_SCENES) --scenes 50 --rollouts 500 $(SHARED)
-# The second simulator is one that the arm was not trained in; it needs Python 3.11.
-transfer-panda-block-reach = evaluate execution $(PANDA_SCENES) --scenes 50 --rollouts 500 --env pandagym \
-	$(SHARED)
-dial-block-reach-2d-fast = evaluate dial $(FAST_PLANE_SCENES) --scenes 200 $(SHARED)
-closed-loop-block-reach-2d-fast = evaluate dial $(FAST_PLANE_SCENES) --scenes 200 --closed-loop $(SHARED)
-execution-block-reach-2d-fast = evaluate execution $(FAST_PLANE_SCENES) --scenes 200 --rollouts 5000 \
-	$(SHARED)
-dial-panda-block-reach-fast = evaluate dial $(FAST_PANDA_SCENES) --scenes 200 $(SHARED)
-closed-loop-panda-block-reach-fast = evaluate dial $(FAST_PANDA_SCENES) --scenes 100 --levels 11 \
-	--samples 2 --closed-loop $(SHARED)
-execution-panda-block-reach-fast = evaluate execution $(FAST_PANDA_SCENES) --scenes 50 --rollouts 500 \
-	$(SHARED)
-transfer-panda-block-reach-fast = evaluate execution $(FAST_PANDA_SCENES) --scenes 50 --rollouts 500 \
-	--env pandagym $(SHARED)
-paper-scene = plan examples/paper.yaml --target 0 --legibility -1:1:9 \
-	--figure $(RESULTS)/paper-scene.png --json $(RESULTS)/paper-scene.json
-paper-scene-executed = execute examples/paper.yaml --target 0 --legibility -1:1:5 \
-	--figure $(RESULTS)/execution.png --video $(RESULTS)/execution.gif \
-	--json $(RESULTS)/paper-scene-executed.json
-panda-scene = execute examples/panda.yaml --target 0 --legibility -1:1:5 \
-	--spectrum $(RESULTS)/panda-scene.png --video $(RESULTS)/panda-scene.gif \
-	--json $(RESULTS)/panda-scene.json
-table1-2d = evaluate table1 --env 2d --rollouts 1000 $(SHARED)
-table1-panda = evaluate table1 --env panda --rollouts 1000 $(SHARED)
-table1-pandagym = evaluate table1 --env pandagym --rollouts 100 $(SHARED)
-unseen-2d = evaluate unseen --env 2d --scenes 100 $(SHARED)
-unseen-panda = evaluate unseen --env panda --scenes 100 $(SHARED)
-spectrum-2d = evaluate spectrum --env 2d $(ON)
-spectrum-panda = evaluate spectrum --env panda $(ON)
-ablations-block-reach-2d = evaluate ablations --model block-reach-2d --goals 2..6 \
-	--data $(RUNS)/block-reach-2d/data --out $(RUNS)/block-reach-2d/ablations \
-	--training-steps 2000 --scene-numbers 400 $(SHARED)
-MEASURED := $(foreach model,$(MODELS) $(MODELS:%=%-fast), \
-		dial-$(model) closed-loop-$(model) execution-$(model)) \
-	transfer-panda-block-reach transfer-panda-block-reach-fast paper-scene paper-scene-executed panda-scene \
-	table1-2d table1-panda table1-pandagym unseen-2d unseen-panda spectrum-2d spectrum-panda \
-	ablations-block-reach-2d
-
-results: $(MEASURED:%=$(DONE)/%) ## measure all that the README shows; tables, pictures
-	$(LEGIBILITY) report $(RESULTS) --readme README.md --weights src/legibility/weights
-
-$(RUNS)/block-reach-2d/data/demonstrations.json: | $(STAMP)
-	$(MAKE) data-block-reach-2d
-
-$(DONE)/ablations-block-reach-2d: | $(RUNS)/block-reach-2d/data/demonstrations.json
-
-# panda-gym has no wheels beyond Python 3.11: what needs it is skipped without it.
-$(MEASURED:%=$(DONE)/%): $(DONE)/%: $(wildcard src/legibility/weights/*/*.safetensors) | $(STAMP)
-	@case "$($*)" in *pandagym*) $(BIN)/python -c 'import panda_gym' 2>/dev/null || { \
-		echo "SKIPPED: $* needs panda-gym, which is not installed"; exit 0; };; esac; \
-	echo $(LEGIBILITY) $($*); $(LEGIBILITY) $($*) && mkdir -p $(@D) && touch $@
+report: $(STAMP) ## render docs/results.md and the model cards
+	$(LEGIBILITY) report results --weights src/legibility/weights
 
 bench: $(STAMP) ## measure the speed of this machine; leave it alone meanwhile
-	$(LEGIBILITY) bench --json $(RESULTS)/bench-cpu.json
+	$(LEGIBILITY) bench --json results/bench-cpu.json
 
 clean: ## remove caches and build products
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis

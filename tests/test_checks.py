@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import torch
 
 from legibility import checks
 from legibility.errors import InvalidInputError, InvalidSceneError, LegibilityError
@@ -23,7 +24,21 @@ def test_finite_array_takes_every_kind_of_real_number(value):
 
 @pytest.mark.parametrize(
     "value",
-    ["1", ["1", "2"], [1, "2"], {}, {"a": 1}, [[1], [1, 2]], [1 + 2j], [True], b"1", 10**400],
+    [
+        "1",
+        ["1", "2"],
+        [1, "2"],
+        {},
+        {"a": 1},
+        [[1], [1, 2]],
+        [1 + 2j],
+        [True],
+        [True, 0.5],
+        [np.True_, 1],
+        [[1, 2], [False, 2]],
+        b"1",
+        10**400,
+    ],
     ids=repr,
 )
 def test_finite_array_rejects_what_is_not_numbers(value):
@@ -74,14 +89,18 @@ def test_trajectory_array_of_any_dimension():
     assert checks.trajectory_array(np.zeros((4, 2, 3))).shape == (4, 2, 3)
 
 
-@pytest.mark.parametrize("target", [0, 2, np.int64(1)])
+@pytest.mark.parametrize("target", [0, 2, np.int64(1), np.array(1), np.uint8(2), torch.tensor(1)])
 def test_target_index(target):
     index = checks.target_index(target, 3)
     assert index == target
     assert type(index) is int
 
 
-@pytest.mark.parametrize("target", [-1, 3, 1.0, "1", None, True, [0], np.nan])
+@pytest.mark.parametrize(
+    "target",
+    [-1, 3, 1.0, np.float64(1), np.array(1.0), np.nan, "1", None, True, np.True_, [0],
+     np.array([0]), torch.tensor(1.0), torch.tensor([0]), torch.tensor(True)],
+)  # fmt: skip
 def test_target_index_rejects(target):
     with pytest.raises(InvalidInputError, match=r"^target must be .*, got "):
         checks.target_index(target, 3)
@@ -92,7 +111,21 @@ def test_legibility_levels(levels):
     np.testing.assert_array_equal(checks.legibility_levels(levels), levels)
 
 
-@pytest.mark.parametrize("levels", [1.001, [-1.2, 0], [], [[0.5]], np.nan, "0.5", None])
+def test_legibility_levels_take_rounding_for_an_end():
+    steps = np.arange(-1, 1.05, 0.05)
+    assert steps[-1] > 1
+    levels = checks.legibility_levels(steps)
+    assert (levels[0], levels[-1]) == (-1, 1)
+    np.testing.assert_allclose(levels, steps, rtol=0, atol=1e-12)
+    assert steps[-1] > 1  # the caller's array is as it was
+
+
+def test_legibility_levels_of_a_tensor():
+    levels = torch.tensor([-1.0, 0.5], requires_grad=True)
+    assert checks.legibility_levels(levels).tolist() == [-1, 0.5]
+
+
+@pytest.mark.parametrize("levels", [1 + 1e-8, 1.001, [-1.2, 0], [], [[0.5]], np.nan, "0.5", None])
 def test_legibility_levels_rejects(levels):
     with pytest.raises(InvalidInputError, match=r"^legibility must"):
         checks.legibility_levels(levels)
@@ -117,10 +150,30 @@ def test_bounded_includes_both_ends_and_may_be_open_above():
         checks.bounded("x", -1, 0)
 
 
-@pytest.mark.parametrize("value", [0, 1.0, "1", None, True, np.nan])
+@pytest.mark.parametrize("value", [0, 1.0, np.float64(2), np.array([2]), "1", None, True, np.nan])
 def test_count_rejects(value):
     with pytest.raises(InvalidInputError, match="n must be an integer of at least 1, got "):
         checks.count("n", value)
+
+
+def test_random_seed():
+    assert checks.random_seed("seed", np.array(3)) == 3
+    for seed in (-1, 2**63, 1.0, None, True):
+        with pytest.raises(InvalidInputError, match=r"^seed must be"):
+            checks.random_seed("seed", seed)
+
+
+def test_no_seed_is_a_new_one_each_time():
+    assert checks.seed_or_entropy("seed", 3) == 3
+    assert checks.seed_or_entropy("seed", None) != checks.seed_or_entropy("seed", None)
+    with pytest.raises(InvalidInputError, match=r"^seed must be"):
+        checks.seed_or_entropy("seed", -1)
+
+
+def test_messages_are_one_line():
+    with pytest.raises(InvalidInputError) as caught:
+        checks.count("n", np.eye(3))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("goals", [[], [[0, 0]], [0, 0], [[0, np.nan], [1, 1]], "ab"])

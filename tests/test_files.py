@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from legibility.errors import InvalidInputError, InvalidSceneError, OutputError
-from legibility.files import atomic_path, read_text, write_bytes, write_json
+from legibility.files import atomic_path, read_document, read_text, write_bytes, write_json
 
 
 def everything(folder):
@@ -156,3 +156,75 @@ def test_read_text_names_what_was_looked_for(tmp_path, name, reason):
 def test_read_text_of_an_impossible_name():
     with pytest.raises(InvalidInputError, match="cannot read the file"):
         read_text("a\0b", "file")
+
+
+YAML = {
+    "5e-1": ("line 2: YAML does not read 5e-1 as a decimal number: write 0.5", "x: 1\ny: 5e-1"),
+    "exponent without a sign": ("write 1500", "y: 1.5e3"),
+    "tiny": (r"does not read 5e-12 .*: write 5\.000000e-12", "y: [5e-12]"),
+    "octal": ("does not read 010 as a decimal number: write 10", "x: 010"),
+    "nearly octal": ("does not read 08 .*: write 8", "x: 08"),
+    "sexagesimal": ("line 1: 1:30 is no decimal number", "x: 1:30"),
+    "hexadecimal": ("0x1F is no decimal number", "x: 0x1F"),
+    "underscores": ("1_000 is no decimal number", "x: 1_000"),
+    "repeated key": ("line 1: the key 'x' is repeated", "x: 1\ny: 2\nx: 1"),
+    "repeated key within": ("line 2: the key 'b' is repeated", "y: 2\nx: {b: 1, b: 1}"),
+    "alias": (r"line 2: aliases \(\*a\) are not read", "x: &a [1]\ny: *a"),
+    "tab": (r"line 2: found character '\\t'", "x:\n\t- 1"),
+    "open list": ("line 1: expected", "x: [1"),
+    "two documents": ("line 3: ", "---\nx: 1\n---\nx: 1"),
+    "control characters": ("unacceptable character", "x: \x07"),
+    "unhashable key": ("unhashable", "? [1]\n: 2"),
+}
+
+
+@pytest.mark.parametrize(("message", "text"), YAML.values(), ids=YAML)
+def test_yaml_that_is_refused(message, text, tmp_path):
+    (tmp_path / "x.yaml").write_text(text)
+    with pytest.raises(
+        InvalidSceneError, match=rf"x\.yaml is not valid YAML: .*{message}"
+    ) as caught:
+        read_document(tmp_path / "x.yaml", "file", InvalidSceneError)
+    assert "\n" not in str(caught.value)
+
+
+def test_yaml_that_is_read(tmp_path):
+    text = (
+        "a: [0, -1, +2, 0.5, .5, 5., 5.0e-1, 1.5e+3, -0.0, 00.5]\nb: [.inf, '5e-1', text, yes, ~]\n"
+    )
+    (tmp_path / "x.yml").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    assert read_document(tmp_path / "x.yml", "file") == {
+        "a": [0, -1, 2, 0.5, 0.5, 5, 0.5, 1500, 0, 0.5],
+        "b": [float("inf"), "5e-1", "text", True, None],
+    }
+
+
+def test_a_bomb_of_aliases_is_refused_at_once(tmp_path):
+    lines = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
+    (tmp_path / "x.yaml").write_text("a0: &a0 [x]\n" + "\n".join(lines))
+    with pytest.raises(InvalidInputError, match="aliases"):
+        read_document(tmp_path / "x.yaml", "file")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [('{"x": 1, "x": 1}', "the key 'x' is repeated"), ("", "Expecting value"), ("[" * 10**5, "")],
+)
+def test_json_that_is_refused(text, message, tmp_path):
+    (tmp_path / "x.JSON").write_text(text)
+    with pytest.raises(InvalidInputError, match=rf"x\.JSON is not valid JSON: .*{message}"):
+        read_document(tmp_path / "x.JSON", "file")
+
+
+def test_json_holds_a_file_name_that_is_no_utf8(tmp_path):
+    name = os.fsdecode(b"caf\xe9")
+    write_json(tmp_path / "x.json", {"name": name})
+    assert json.loads((tmp_path / "x.json").read_text(encoding="utf-8")) == {"name": name}
+
+
+def test_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    write_bytes("~/x.txt", b"here")
+    assert (tmp_path / "x.txt").read_bytes() == b"here"
+    assert read_text("~/x.txt", "file") == "here"

@@ -316,7 +316,6 @@ class TestOptions:
             {"target": "red"},
             {"seed": -1},
             {"seed": 1.5},
-            {"seed": None},
             {"seed": 2**64},
             {"seed": 2**100},
             {"num_candidates": 0},
@@ -335,6 +334,16 @@ class TestOptions:
         with pytest.raises(InvalidInputError, match=next(iter(wrong))):
             flat.plan(**{"scene": SCENES[2], **wrong})
 
+    def test_arrays_and_tensors(self, flat):
+        levels = torch.tensor([0.0, 0.5], requires_grad=True)
+        path = flat.plan(SCENES[2], np.array(1), levels, seed=np.int64(3))
+        plain = flat.plan(SCENES[2], 1, [0.0, 0.5], seed=3)
+        np.testing.assert_array_equal(path.waypoints, plain.waypoints)
+
+    def test_no_seed_is_another_path_each_time(self, flat):
+        one, other = (flat.plan(SCENES[2], seed=None).waypoints for _ in range(2))
+        assert np.abs(one - other).max() > 1e-6
+
     @pytest.mark.parametrize("wrong", [None, "scene.yaml", SCENES[2].to_dict(), 3])
     def test_something_that_is_no_scene(self, flat, wrong):
         with pytest.raises(InvalidSceneError, match=r"scene must be a legibility\.Scene"):
@@ -344,6 +353,22 @@ class TestOptions:
         other = SCENES[5 - modulator.config.dim]
         with pytest.raises(InvalidSceneError, match=r"the model tiny plans in .D, the scene is .D"):
             modulator.plan(other)
+
+    def test_scene_of_another_unit(self, modulator, scene):
+        def scaled(factor):
+            return lg.Scene(scene.start * factor, scene.goals * factor, scene.workspace * factor)
+
+        with pytest.raises(InvalidSceneError, match=r"the scene is .* m across; the model tiny"):
+            modulator.plan(scaled(100))
+        with pytest.raises(InvalidSceneError, match=r"scenes of about .* m: give metres"):
+            modulator.plan_many([scene, scaled(20)], 0, 0.0)
+        with pytest.raises(InvalidSceneError, match=r"the workspace is .* m across"):
+            modulator.plan(scaled(0.01))
+        for factor in (0.3, 3):
+            modulator.plan(scaled(factor))
+        corners = scene.workspace + np.array([[-50], [50]])
+        wide = lg.Scene(scene.start, scene.goals, corners)
+        assert np.isfinite(modulator.plan(wide).waypoints).all()
 
     @pytest.mark.parametrize("num_points", [0, 1, 2.5, "many"])
     def test_number_of_points(self, flat, num_points):
@@ -373,6 +398,10 @@ class TestPretrained:
         assert Modulator.from_pretrained("weights").name == "weights"
         monkeypatch.chdir(folder)
         assert Modulator.from_pretrained(".").name == "weights"
+        monkeypatch.setenv("HOME", str(folder.parent))
+        monkeypatch.setenv("USERPROFILE", str(folder.parent))
+        Modulator.from_pretrained("~/weights").save_pretrained("~/others")
+        assert (folder.parent / "others" / "config.json").exists()
 
     def test_only_two_files(self, folder):
         assert sorted(p.name for p in folder.iterdir()) == ["config.json", "path.safetensors"]
@@ -542,6 +571,13 @@ class TestPlanMany:
             assert scene.contains(path.trajectory(), tolerance=0).all()
             np.testing.assert_array_equal(path.waypoints, same.waypoints)
 
+    @pytest.mark.parametrize(
+        "targets", [1, np.array(1), torch.tensor(1), [1, 1], np.ones(2, int), torch.tensor([1, 1])]
+    )
+    def test_one_target_for_all(self, flat, targets):
+        paths = flat.plan_many([SCENES[2]] * 2, targets, 0.3)
+        assert [path.target for path in paths] == [1, 1]
+
     def test_of_one_scene_is_its_plan(self, modulator, scene):
         (many,) = modulator.plan_many([scene], [0], 0.3, seed=2)
         np.testing.assert_allclose(
@@ -551,8 +587,10 @@ class TestPlanMany:
     @pytest.mark.parametrize(
         ("wrong", "match"),
         [
-            ({"scenes": []}, "targets must be as many"),
-            ({"targets": [0]}, "targets must be as many"),
+            ({"scenes": []}, "scenes must be at least one"),
+            ({"targets": [0]}, "target must be one for all or 2, got 1"),
+            ({"targets": None}, "target must be an integer"),
+            ({"targets": True}, "target must be an integer"),
             ({"targets": [0, 9]}, "target must be a goal"),
             ({"legibility": [0, 0, 0]}, "one number or 2"),
             ({"legibility": 2}, "must lie in"),

@@ -2,6 +2,7 @@
 
 import signal
 import socket
+import subprocess
 import sys
 import time
 from functools import partial
@@ -88,6 +89,38 @@ def test_shards_are_the_same_bytes_though_a_worker_was_killed(two, tmp_path):
     for name in ("m.json", *names):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     assert len(list((tmp_path / "two").iterdir())) == 7
+
+
+SCRIPT = """
+import sys
+from legibility.parallel import pool
+print(__name__)
+with pool(2, *sys.argv[1:]) as each:
+    print(sorted(each(abs, [-1, -2])))
+"""
+
+
+class TestScriptWithoutGuard:
+    """A script that starts workers at its top level, which each worker may import."""
+
+    def run(self, folder, *arguments):
+        (folder / "script.py").write_text(SCRIPT)
+        line = [sys.executable, str(folder / "script.py"), *arguments]
+        return subprocess.run(line, capture_output=True, text=True, timeout=120)
+
+    def test_processes_do_not_import_it(self, tmp_path):
+        finished = self.run(tmp_path)
+        assert (finished.returncode, finished.stderr) == (0, "")
+        assert finished.stdout == "__main__\n[(0, 1), (1, 2)]\n"
+
+    def test_a_local_cluster_is_an_error(self, tmp_path):
+        pytest.importorskip("distributed", reason="Dask is NOT TESTED: the extra is missing")
+        finished = self.run(tmp_path, "local")
+        assert finished.returncode == 1
+        last = finished.stderr.splitlines()[-1]
+        assert last.startswith("legibility.errors.WorkerError: the local cluster did not start")
+        assert "below `if __name__ == '__main__':`" in last
+        assert finished.stdout.count("__mp_main__") <= 2
 
 
 class TestRefuses:

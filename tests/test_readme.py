@@ -1,7 +1,5 @@
-"""What the README says: every command runs, and every number is what the results hold."""
+"""The documents: every command runs, every number is in the results, every link leads somewhere."""
 
-import hashlib
-import json
 import re
 import shlex
 import shutil
@@ -12,42 +10,58 @@ from pathlib import Path
 import pytest
 
 from legibility.cli import main
-from legibility.evaluation.comparison import METHODS
+from legibility.files import file_hash
 from legibility.models.pretrained import pretrained_folder, pretrained_names
 from legibility.modulator import Modulator
-from legibility.report.baseline_card import render_baseline_card
-from legibility.report.card import (
-    dial_section,
-    execution_section,
-    render_card,
-)
+from legibility.report.card import render_card
+from legibility.report.experiments import read_experiments
+from legibility.report.results import headline_table, read_json, read_results, render_page
 
 ROOT = Path(__file__).parent.parent
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+WEIGHTS = [*pretrained_names(), *pretrained_names("goal")]
 
 
 def blocks(language):
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+    """The blocks of all documents; those of `cluster.md` need a cluster."""
+    return [
+        pytest.param(block, id=f"{document.stem}-{number}")
+        for document in DOCUMENTS
+        if document.stem != "cluster"
+        for number, block in enumerate(
+            re.findall(rf"```{language}\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
+        )
+    ]
 
 
 COMMANDS = [
     line.split("#")[0].strip()
     for block in blocks("sh")
-    for line in block.splitlines()
+    for line in block.values[0].splitlines()
     if line.startswith("legibility ")
 ]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with the examples, in which the README's commands run one after another."""
+    """A folder with the examples, in which commands run one after another."""
     folder = tmp_path_factory.mktemp("readme")
     shutil.copytree(ROOT / "examples", folder / "examples")
     return folder
 
 
-def test_the_readme_shows_commands():
-    assert len(COMMANDS) >= 5
+@pytest.fixture(scope="module")
+def results():
+    return read_results(ROOT / "results")
+
+
+def test_the_documents_show_commands():
+    assert len(COMMANDS) >= 8
+
+
+def test_the_readme_is_short():
+    assert len(README.splitlines()) <= 220
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -58,7 +72,9 @@ def test_commands(command, folder, monkeypatch, capsys):
         assert (folder / written).stat().st_size > 100
 
 
-@pytest.mark.parametrize("code", [*blocks("python"), (ROOT / "examples/plan.py").read_text()])
+@pytest.mark.parametrize(
+    "code", [*blocks("python"), pytest.param((ROOT / "examples/plan.py").read_text(), id="plan.py")]
+)
 def test_python(code, folder):
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
@@ -67,74 +83,56 @@ def test_python(code, folder):
     assert run.stdout
 
 
-def test_pictures_are_there():
-    for picture in re.findall(r"!\[.*?\]\((.*?)\)", README):
-        assert (ROOT / picture).is_file()
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: file.name)
+def test_links_lead_to_files(document):
+    for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", document.read_text(encoding="utf-8")):
+        if not target.startswith("https://"):
+            assert (document.parent / target).is_file(), target
+
+
+def test_page_of_results(results):
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert page == render_page(results, "../results"), "run `make report`"
+
+
+def test_headline(results):
+    """Every number of the table is in the results, from which it is rendered."""
+    assert headline_table(results).markdown() in README
 
 
 def test_every_result_is_of_shipped_weights():
     files = sorted((ROOT / "results").glob("*.json"))
     assert files
     for file in files:
-        content = json.loads(file.read_text())
-        for model in [content["model"], *content.get("baselines", [])]:
-            weights = pretrained_folder(model["name"])
-            assert model == {"name": model["name"], **hashes_of(weights)}, file.name
+        content = read_json(file)
+        for model in [
+            content["model"], *content.get("baselines", []), *content["config"].get("weights", [])
+        ]:  # fmt: skip
+            assert model == {"name": model["name"], **hashes_of(model["name"])}, file.name
 
 
-def hashes_of(weights):
-    return {
-        file.stem: hashlib.sha256(file.read_bytes()).hexdigest()
-        for file in weights.glob("*.safetensors")
-    }
+def test_every_result_is_an_experiment():
+    names = set(read_experiments(ROOT / "experiments.toml"))
+    for file in (ROOT / "results").glob("*.json"):
+        assert file.stem in names or file.stem.startswith("tuning-"), file.name
 
 
-@pytest.mark.parametrize("name", pretrained_names())
-def test_tables_and_card_are_what_was_measured_with_these_weights(name):
+@pytest.mark.parametrize("name", WEIGHTS)
+def test_cards(name, results):
     weights = pretrained_folder(name)
-    hashes = hashes_of(weights)
-    sections = {
-        "dial": dial_section, "closed-loop": dial_section, "execution": execution_section,
-        "transfer": execution_section,
-    }  # fmt: skip
-    if not name.startswith("panda-block-reach"):  # there is one simulator of the plane
-        del sections["transfer"]
-    documents = {}
-    for kind, section in sections.items():
-        document = json.loads((ROOT / "results" / f"{kind}-{name}.json").read_text())
-        assert document["model"] == {"name": name, **hashes}
-        assert section(document) in README
-        assert (ROOT / "results" / f"{kind}-{name}.md").read_text() == section(document) + "\n"
-        documents[kind] = document
-    config = json.loads((weights / "config.json").read_text())
-    assert (weights / "README.md").read_text() == render_card(name, config, documents)
+    card = (weights / "README.md").read_text(encoding="utf-8")
+    assert card == render_card(name, read_json(weights / "config.json"), results)
 
 
-def test_comparisons_are_what_was_measured(file):
-    section = COMPARED[file.stem.partition("-")[0]](json.loads(file.read_text()))
-    assert section in README
-    assert file.with_suffix(".md").read_text() == section + "\n"
+def hashes_of(name):
+    files = pretrained_folder(name).glob("*.safetensors")
+    return {file.stem: file_hash(file) for file in files}
 
 
-@pytest.mark.parametrize("name", pretrained_names("goal"))
-def test_card_of_a_baseline(name):
-    documents = {}
-    for file in sorted((ROOT / "results").glob("*.json")):
-        content = json.loads(file.read_text())
-        if any(b["name"] == name for b in content.get("baselines", [])):
-            documents[file.stem] = content
-    assert any(stem.startswith("table1") for stem in documents)
-    method = next(m for m in METHODS if name.startswith(m.replace(" ", "-")))
-    folder = pretrained_folder(name)
-    config = json.loads((folder / "config.json").read_text())
-    card = (folder / "README.md").read_text()
-    assert card == render_baseline_card(name, method, config, documents)
-
-
-@pytest.mark.parametrize("name", [*pretrained_names(), *pretrained_names("goal")])
+@pytest.mark.parametrize("name", WEIGHTS)
 def test_weights_are_small(name):
     for file in pretrained_folder(name).glob("*.safetensors"):
-        assert file.stat().st_size < 6_000_000
+        assert file.stat().st_size < 3_000_000
 
 
 @pytest.mark.parametrize("name", pretrained_names())

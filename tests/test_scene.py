@@ -57,6 +57,7 @@ BAD = {
     "goals in 3D": ({"goals": [[0.8, 0.6, 0], [1, 0.3, 0]]}, "goals must have 2 numbers"),
     "ragged goals": ({"goals": [[0.8, 0.6], [1]]}, "goals must be an array of numbers"),
     "number as start": ({"start": 3}, "start must have 1 axes"),
+    "a truth value among numbers": ({"start": [True, 0.5]}, "start must be an array of numbers"),
     "text as start": ({"start": "here"}, "start must be an array of numbers, got 'here'"),
     "digits as text": ({"start": ["0", "0.5"]}, "start must be an array of numbers"),
     "booleans": ({"start": [True, False]}, "start must be an array of numbers"),
@@ -81,7 +82,7 @@ def test_bad_scenes_are_named(change, message):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "got NoneType"),
+        (None, "got nothing"),
         ([START, GOALS], "got list"),
         ("scene", "got str"),
         ({}, r"missing \['goals', 'start'\]"),
@@ -146,12 +147,25 @@ def test_workspace_may_be_left_out_of_a_file(tmp_path, scene):
         ("nan.json", '{"start": [NaN, 0.5], "goals": [[0.8, 0.6], [1, 0.3]]}'),
         ("nan.yaml", "start: [.nan, .5]\ngoals: [[.8, .6], [1, .3]]"),
         ("deep.json", "[" * 100_000),
+        ("deep.yaml", "[" * 10_000),
+        ("boolean.json", '{"start": [true, 0.5], "goals": [[0.8, 0.6], [1, 0.3]]}'),
+        ("boolean.yaml", "start: [yes, 0.5]\ngoals: [[.8, .6], [1, .3]]"),
+        ("huge.json", '{"start": [1e999, 0.5], "goals": [[0.8, 0.6], [1, 0.3]]}'),
     ],
 )
 def test_bad_files_are_named(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     with pytest.raises(InvalidSceneError, match=name):
         Scene.load(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["scene.yaml", "scene.json"])
+def test_home_folder(tmp_path, monkeypatch, scene, name):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    scene.save(f"~/{name}")
+    assert (tmp_path / name).exists()
+    assert Scene.load(f"~/{name}") == scene
 
 
 def test_files_that_cannot_be_read(tmp_path):
@@ -177,6 +191,45 @@ def test_file_that_cannot_be_written(tmp_path, scene):
     for name in ("scene.yaml", "scene.json"):
         with pytest.raises(OutputError, match="cannot write"):
             scene.save(tmp_path / "file" / name)
+
+
+@pytest.mark.parametrize(
+    ("start", "goals", "kept"),
+    [
+        (np.float32([1.1, 0.5]), GOALS, [1.1, 0.5]),
+        ([0.06 - 0.04 - 0.12, 0.5], GOALS, [-0.1, 0.5]),
+        ([1.1 + 0.033, -0.1 - 0.033], GOALS, [1.1, -0.1]),
+        (START, np.float32([[0.8, 1.1], [1.1, 0.3]]), START),
+    ],
+)
+def test_points_a_little_beyond_a_wall_are_moved_onto_it(start, goals, kept):
+    scene = Scene(start, goals)
+    np.testing.assert_allclose(scene.start, kept, atol=1e-15)
+    np.testing.assert_allclose(scene.goals, goals, atol=1e-6)
+    assert scene.contains([scene.start, *scene.goals], tolerance=0).all()
+
+
+def test_only_a_robot_may_be_found_clearly_beyond_a_wall():
+    with pytest.raises(InvalidSceneError, match=r"start \[1.152, 0.5\] lies outside"):
+        Scene([1.152, 0.5], GOALS)
+    with pytest.raises(InvalidSceneError, match=r"goals\[1\] \[1.1001, 0.3\] lies outside"):
+        Scene(START, [[0.8, 0.6], [1.1001, 0.3]])
+    with pytest.raises(InvalidSceneError, match=r"start and goals\[0\] coincide at \[1.1, 0.3\]"):
+        Scene([1.105, 0.3], [[1.1, 0.3], [0.8, 0.6]])
+
+
+def test_arrays_of_other_libraries_are_read():
+    torch = pytest.importorskip("torch")
+    pandas = pytest.importorskip("pandas")
+    expected = Scene(START, GOALS)
+    start = torch.tensor(START, dtype=torch.float64, requires_grad=True)
+    goals = [torch.tensor(goal, dtype=torch.float64, requires_grad=True) for goal in GOALS]
+    assert Scene(start, goals) == expected
+    assert Scene(pandas.Series(START), pandas.DataFrame(GOALS)) == expected
+    assert (
+        Scene([np.float64(x) for x in START], [[np.float64(x) for x in g] for g in GOALS])
+        == expected
+    )
 
 
 @given(seeds, dims, st.integers(2, 6), st.data())

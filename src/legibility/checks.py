@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+import secrets
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import InvalidInputError
 
 Array = NDArray[np.float64]
+
+_ROUNDING = 1e-9
+"""Legibility may exceed ±1 by this much, as the last of `np.arange(-1, 1.05, 0.05)` does."""
 
 
 def finite_array(
@@ -21,10 +26,14 @@ def finite_array(
     last: int | tuple[int, ...] | None = None,
     error: type[InvalidInputError] = InvalidInputError,
 ) -> Array:
-    """`value` as a float64 array of finite numbers, of `ndim` axes, the last of size `last`."""
+    """`value` as a float64 array of finite numbers, of `ndim` axes, the last of size `last`.
+
+    Tensors of PyTorch are read without their gradient, wherever they are. NumPy would convert text,
+    complex numbers and truth values; they are refused.
+    """
     try:
-        array = np.asarray(value)
-        if array.dtype.kind not in "iufO":  # text and complex numbers would be converted in silence
+        array = np.asarray(_detached(value))
+        if array.dtype.kind not in "iufO" or _has_truth_value(value):
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError) as cause:
@@ -83,26 +92,45 @@ def posterior_array(value: ArrayLike) -> Array:
 
 def target_index(target: Any, num_goals: int) -> int:
     """A goal's index in `[0, num_goals)`; negative indices are not accepted."""
-    if isinstance(target, bool) or not isinstance(target, int | np.integer):
+    index = _integer(target)
+    if index is None:
         raise InvalidInputError(f"target must be an integer, got {_short(target)}")
-    if not 0 <= target < num_goals:
+    if not 0 <= index < num_goals:
         raise InvalidInputError(
-            f"target must be a goal's index from 0 to {num_goals - 1}, got {target}"
+            f"target must be a goal's index from 0 to {num_goals - 1}, got {index}"
         )
-    return int(target)
+    return index
 
 
 def legibility_levels(value: ArrayLike) -> Array:
-    """ℓ, a number or `(B,)`, in [−1, 1]."""
+    """ℓ, a number or `(B,)`, in [−1, 1]; a rounding error beyond an end becomes the end."""
     levels = finite_array("legibility", value)
     if levels.ndim > 1 or levels.size == 0:
         raise InvalidInputError(
             f"legibility must be a number or a list of numbers, got shape {levels.shape}"
         )
-    if (np.abs(levels) > 1).any():
-        bad = levels[np.abs(levels) > 1].flat[0] if levels.ndim else levels[()]
-        raise InvalidInputError(f"legibility must lie in [-1, 1], got {bad:g}")
-    return levels
+    outside = np.abs(levels) > 1 + _ROUNDING
+    if outside.any():
+        bad = np.atleast_1d(levels)[np.atleast_1d(outside)][0]
+        raise InvalidInputError(f"legibility must lie in [-1, 1], got {bad:.8g}")
+    return np.asarray(np.clip(levels, -1, 1))
+
+
+def levels_for_each(value: ArrayLike, size: int) -> Array:
+    """ℓ `(size,)`, given one for all or one for each."""
+    levels = legibility_levels(value)
+    if levels.ndim and len(levels) != size:
+        raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
+    return np.broadcast_to(levels, (size,)).copy()
+
+
+def for_each(name: str, value: Any, size: int) -> list[Any]:
+    """`size` values, given one for all or one for each."""
+    if np.ndim(_detached(value)) == 0:
+        return [value] * size
+    if len(value) != size:
+        raise InvalidInputError(f"{name} must be one for all or {size}, got {len(value)}")
+    return list(value)
 
 
 def positive(name: str, value: Any) -> float:
@@ -124,18 +152,49 @@ def bounded(name: str, value: Any, low: float, high: float = np.inf) -> float:
 
 def count(name: str, value: Any, *, low: int = 1) -> int:
     """An integer of at least `low`."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < low:
+    number = _integer(value)
+    if number is None or number < low:
         raise InvalidInputError(f"{name} must be an integer of at least {low}, got {_short(value)}")
-    return int(value)
+    return number
 
 
 def random_seed(name: str, value: Any) -> int:
-    """An integer in [0, 2⁶³), what every generator here takes."""
-    if count(name, value, low=0) >= 2**63:
+    """An integer in [0, 2⁶³), which every generator here takes."""
+    seed = count(name, value, low=0)
+    if seed >= 2**63:
         raise InvalidInputError(f"{name} must be below 2**63, got {value}")
-    return int(value)
+    return seed
+
+
+def seed_or_entropy(name: str, value: Any) -> int:
+    """`random_seed`; None draws a seed from the system's entropy, as NumPy and Gymnasium do."""
+    return secrets.randbits(63) if value is None else random_seed(name, value)
+
+
+def _detached(value: Any) -> Any:
+    """A tensor of PyTorch without its gradient and on the CPU; lists of tensors likewise."""
+    if isinstance(value, list | tuple):
+        return [_detached(item) for item in value]
+    return value.detach().cpu() if hasattr(value, "detach") else value
+
+
+def _has_truth_value(value: Any) -> bool:
+    """Whether a list holds True or False, which NumPy would read as 1 or 0 among numbers."""
+    if isinstance(value, list | tuple):
+        return any(map(_has_truth_value, value))
+    return isinstance(value, bool) or "bool" in str(getattr(value, "dtype", ""))
+
+
+def _integer(value: Any) -> int | None:
+    """The integer that `value` is, a number or an array or tensor without axes; else None."""
+    if _has_truth_value(value) or getattr(value, "ndim", 0):
+        return None
+    try:
+        return operator.index(value)
+    except TypeError:
+        return None
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

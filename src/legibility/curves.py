@@ -20,25 +20,28 @@ __all__ = [
 
 
 NUM_WAYPOINTS = 8
-"""K: waypoints of a path between start and goal (paper, section V.C)."""
+"""K, the waypoints of a path between start and goal (paper, section V.C)."""
 
 
+@np.errstate(under="ignore")
 def cumulative_length(trajectory: Array) -> Array:
     """Length [m] from the start to each point, `(..., T)`."""
     steps = np.linalg.norm(np.diff(trajectory, axis=-2), axis=-1)
     return np.concatenate([np.zeros_like(steps[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
 
 
+@np.errstate(under="ignore")
 def arc_length(trajectory: Array) -> Array:
     """Length [m] of each trajectory, `(...)`."""
     return np.linalg.norm(np.diff(trajectory, axis=-2), axis=-1).sum(-1)
 
 
+@np.errstate(under="ignore")
 def turning(trajectory: Array) -> Array:
     """Angle [rad] that the steps of each trajectory turn through in all, `(...)`.
 
-    0 is straight, 2π a full circle. How it turns where it stands still is not seen: `resample` one
-    that does.
+    0 is straight, 2π a full circle. Turns on the spot do not count: `resample` a trajectory that
+    rests.
     """
     steps = np.diff(trajectory, axis=-2)
     length = np.linalg.norm(steps, axis=-1, keepdims=True)
@@ -74,6 +77,7 @@ def equal_arc_positions(cumulative: Array, num_points: int) -> Array:
     return positions.reshape(*batch, num_points)
 
 
+@np.errstate(under="ignore")
 def resample(trajectory: Array, num_points: int) -> Array:
     """`num_points` points at equal arc length along each trajectory, `(..., num_points, D)`.
 
@@ -106,48 +110,32 @@ def spaced(trajectory: Array, spacing: float) -> Array:
 def spline_matrix(num_knots: int, num_points: int) -> Array:
     """`(num_points, num_knots)`: the not-a-knot cubic spline through equally spaced knots, ≥ 4.
 
-    The spline is linear in its knots, so a batch of paths is a matrix product. What SciPy's
-    `CubicSpline` gives, in its order of operations; to import that takes longer than to
-    load a model and plan, and more memory.
+    The spline is linear in its knots, so a batch of paths is a matrix product. The same as SciPy's
+    `CubicSpline`, whose import takes longer than loading a model and planning.
     """
-    knots, values = np.linspace(0, 1, num_knots), np.eye(num_knots)
-    gap = np.diff(knots)
-    step = gap[:, None]
-    slope = np.diff(values, axis=0) / step
-    derivative = _derivatives(knots, gap, slope)
-    bend = (derivative[:-1] + derivative[1:] - 2 * slope) / step
-    coefficients = (values[:-1], derivative[:-1], (slope - derivative[:-1]) / step - bend,
-                    bend / step)  # fmt: skip
-    places = np.linspace(0, 1, num_points)
-    left = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, num_knots - 2)
-    offset = (places - knots[left])[:, None]
-    matrix, power = np.zeros((num_points, num_knots)), 1.0
-    for each in coefficients:
-        matrix, power = matrix + each[left] * power, power * offset
+    values = np.eye(num_knots)
+    slopes = np.diff(values, axis=0)
+    # The derivatives at the knots, in units of their spacing, make the second derivative continuous
+    # there, and the third at the first and last inner knot.
+    system = 4 * values + np.eye(num_knots, k=1) + np.eye(num_knots, k=-1)
+    system[0, :2], system[-1, -2:] = (1, 2), (2, 1)
+    wanted = np.concatenate([
+        (5 * slopes[:1] + slopes[1:2]) / 2,
+        3 * (slopes[:-1] + slopes[1:]),
+        (5 * slopes[-1:] + slopes[-2:-1]) / 2,
+    ])  # fmt: skip
+    derivatives = np.linalg.solve(system, wanted)
+    places = np.linspace(0, num_knots - 1, num_points)
+    left = np.minimum(places.astype(np.intp), num_knots - 2)
+    t = (places - left)[:, None]
+    matrix = (
+        (1 + 2 * t) * (1 - t) ** 2 * values[left]
+        + t * (1 - t) ** 2 * derivatives[left]
+        + t**2 * (3 - 2 * t) * values[left + 1]
+        + t**2 * (t - 1) * derivatives[left + 1]
+    )
     matrix.setflags(write=False)
     return matrix
-
-
-def _derivatives(knots: Array, gap: Array, slope: Array) -> Array:
-    """Of the spline at its knots, `(n, n)`: a tridiagonal system, solved by elimination."""
-    first, last = knots[2] - knots[0], knots[-1] - knots[-3]
-    low = np.append(gap[1:], last)
-    diagonal = np.concatenate([[gap[1]], 2 * (gap[:-1] + gap[1:]), [gap[-2]]])
-    high = np.append(first, gap[:-1])
-    step = gap[:, None]
-    found = np.concatenate([
-        ((step[0] + 2 * first) * step[1] * slope[:1] + step[0] ** 2 * slope[1]) / first,
-        3 * (step[1:] * slope[:-1] + step[:-1] * slope[1:]),
-        (step[-1] ** 2 * slope[-2:-1] + (2 * last + step[-1]) * step[-2] * slope[-1]) / last,
-    ])  # fmt: skip
-    for i, below in enumerate(low):
-        factor = below / diagonal[i]
-        diagonal[i + 1] -= factor * high[i]
-        found[i + 1] -= factor * found[i]
-    found[-1] /= diagonal[-1]
-    for i in reversed(range(len(high))):
-        found[i] = (found[i] - high[i] * found[i + 1]) / diagonal[i]
-    return found
 
 
 def distance_to_segment(points: Array, start: Array, end: Array) -> Array:
@@ -155,6 +143,7 @@ def distance_to_segment(points: Array, start: Array, end: Array) -> Array:
     return np.sqrt(_squared_distance_to_segment(points, start, end))
 
 
+@np.errstate(under="ignore")
 def farthest_from_segment(trajectory: Array, start: Array, end: Array) -> Array:
     """The most deviating point `(..., D)` of each trajectory from the straight line start–end."""
     index = np.argmax(_squared_distance_to_segment(trajectory, start, end), axis=-1)
@@ -171,6 +160,7 @@ def _squared_distance_to_segment(points: Array, start: Array, end: Array) -> Arr
     return np.asarray(sum((o - along * v) ** 2 for o, v in zip(offsets, direction, strict=True)))
 
 
+@np.errstate(under="ignore")
 def path_curve(path: Array, num_points: int) -> Array:
     """The smooth curve `(..., num_points, D)` through a path `(..., K + 2, D)` [m]."""
     return spline_matrix(path.shape[-2], num_points) @ path

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from .checks import Array
+from .models.diffusion import standard_normal
 from .models.path_policy import Observation, PathPolicy
 from .motion.tracking import PathTracker, feedback_action
 
@@ -63,7 +64,7 @@ class Policy:
         with_path: bool = True,
     ) -> None:
         self.model, self.steps, self.with_path = model, steps, with_path
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator("cpu").manual_seed(seed)
 
     def __call__(self, robots: RobotStates) -> Array:
         """See `Driver`."""
@@ -72,10 +73,9 @@ class Policy:
             robots.positions, robots.previous, robots.goals, config.limit,
             robots.tracker if self.with_path else None,
         )  # fmt: skip
-        noise = torch.randn(
-            len(robots.rows), config.chunk, config.dim, generator=self.generator,
-            dtype=torch.float32, device="cpu",
-        )  # fmt: skip
+        noise = standard_normal(
+            len(robots.rows), config.chunk, config.dim, generator=self.generator
+        )
         return self.model.act(observation, noise, self.steps)[:, : config.execute]
 
 

@@ -1,4 +1,8 @@
-"""Files that are whole or not there: written under a temporary name, then renamed."""
+"""Files: written whole or not at all, and read strictly.
+
+A leading `~` of a path is the user's home folder. JSON and YAML are read without guessing: repeated
+keys and numbers that programs read differently are errors.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
 import tempfile
@@ -14,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InvalidInputError, OutputError
+
+_DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
 @contextlib.contextmanager
@@ -26,7 +33,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     Raises:
         OutputError: the folder cannot be made or the file cannot be written (read-only, full).
     """
-    path = Path(path)
+    path = at_home(path)
     if not path.name or "\0" in str(path):
         raise OutputError(f"cannot write {str(path)!r}: not a file name")
     is_special = os.path.exists(path) and not (path.is_file() or path.is_dir())
@@ -59,7 +66,8 @@ def write_bytes(path: str | Path, content: bytes) -> None:
 def write_json(path: str | Path, content: Any) -> None:
     """Write `content` as indented JSON (UTF-8, no NaN) to `path` atomically."""
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_bytes(path, text.encode())
+    # A file name that is no UTF-8 holds surrogates, which only an escape of JSON's can express.
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def file_hash(path: str | Path) -> str:
@@ -71,7 +79,94 @@ def file_hash(path: str | Path) -> str:
 def read_text(path: str | Path, what: str, error: type[Exception] = InvalidInputError) -> str:
     """The text of `path`, or `error` naming `what` was looked for."""
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
+        return at_home(path).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as cause:
-        reason = cause.strerror if isinstance(cause, OSError) else "not a text file"
+        reason = cause.strerror if isinstance(cause, OSError) else "not a text file in UTF-8"
         raise error(f"cannot read the {what} {path}: {reason}") from cause
+
+
+def read_document(path: str | Path, what: str, error: type[Exception] = InvalidInputError) -> Any:
+    """The content of a JSON file (.json) or YAML file (any other suffix).
+
+    It refuses a repeated key, an alias of YAML, and a number that YAML 1.1 does not read as decimal
+    notation: 010 (octal), 1:30 (base 60), 5e-1 (text).
+    """
+    is_json = Path(path).suffix.lower() == ".json"
+    text = read_text(path, what, error)
+    try:
+        if is_json:
+            return json.loads(text, object_pairs_hook=_mapping_once)
+        return _read_yaml(text)
+    except (ValueError, RecursionError) as cause:
+        form = "JSON" if is_json else "YAML"
+        raise error(f"{path} is not valid {form}: {' '.join(str(cause).split())}") from cause
+
+
+def at_home(path: str | Path) -> Path:
+    """`path` with the user's home folder for a leading `~`."""
+    return Path(os.path.expanduser(path))
+
+
+def _mapping_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        keys = [key for key, _ in pairs]
+        repeated = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {repeated!r} is repeated")
+    return content
+
+
+def _read_yaml(text: str) -> Any:
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                event = self.peek_event()
+                raise ValueError(f"{_line(event)}aliases (*{event.anchor}) are not read")
+            return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            pairs = [(self.construct_object(key, deep=True), None) for key, _ in node.value]
+            try:
+                _mapping_once(pairs)
+            except ValueError as cause:
+                raise ValueError(f"{_line(node)}{cause}") from cause
+            return super().construct_mapping(node, deep)
+
+        def construct_scalar(self, node: Any) -> Any:
+            if isinstance(node, yaml.ScalarNode) and node.style is None:
+                _check_number(node)
+            return super().construct_scalar(node)
+
+    try:
+        return yaml.load(text, Loader)
+    except yaml.MarkedYAMLError as cause:
+        raise ValueError(f"{_line(cause)}{cause.problem}") from cause
+    except (yaml.YAMLError, AttributeError, LookupError, TypeError) as cause:
+        raise ValueError(str(cause)) from cause
+
+
+def _check_number(node: Any) -> None:
+    """Raise unless an unquoted scalar is a number to YAML 1.1 and in decimal notation, or neither.
+
+    Numbers to YAML alone are of another base (0x1F, 1:30) or hold underscores; 5e-1 and 08 are
+    numbers in decimal notation alone; 010 is either, but octal to YAML.
+    """
+    is_number = node.tag.removeprefix("tag:yaml.org,2002:") in ("int", "float")
+    octal = node.tag.endswith(":int") and re.match("[-+]?0[0-9]", node.value)
+    if _DECIMAL.fullmatch(node.value):
+        if octal or not is_number:
+            number = float(node.value)
+            hint = f"{number:.12g}" if 1e-4 <= abs(number) < 1e9 else f"{number:.6e}"
+            raise ValueError(
+                f"{_line(node)}YAML does not read {node.value} as a decimal number: write {hint}"
+            )
+    elif is_number and not re.search("inf|nan", node.value, re.IGNORECASE):
+        raise ValueError(f"{_line(node)}{node.value} is no decimal number")
+
+
+def _line(marked: Any) -> str:
+    """Where a node, an event or an error of YAML is, to begin a message with."""
+    mark = getattr(marked, "problem_mark", None) or getattr(marked, "start_mark", None)
+    return f"line {mark.line + 1}: " if mark else ""

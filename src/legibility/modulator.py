@@ -10,11 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import Array, count, legibility_levels, positive, random_seed, target_index
+from .checks import (
+    Array,
+    count,
+    for_each,
+    legibility_levels,
+    levels_for_each,
+    positive,
+    seed_or_entropy,
+    target_index,
+)
 from .drivers import Driver, Policy
 from .envs.fleet import Fleet, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
 from .models.configuration import PathDiffuserConfig
+from .models.frame import check_scale
 from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
 from .models.path_sampler import PathSampler, Sampling
@@ -30,8 +40,6 @@ __all__ = ["BACKENDS", "Modulator"]
 BACKENDS = ("torch", "onnx")
 """What may run the networks."""
 
-_AT_START, _BESIDE = 1e-4, 1e-5
-
 
 class Modulator:
     """Plans motions of any legibility, from most ambiguous (−1) to most legible (1).
@@ -41,8 +49,11 @@ class Modulator:
         path_policy: stage 2; without it motions are planned, not executed.
         name: of the weights.
         training: how each stage was made, by the names `path` and `policy`, for the model card.
-        backend: what runs the networks: `torch`, or `onnx` (onnxruntime: faster, the same results
-            to rounding), which does not see later changes of the weights.
+        backend: what runs the networks: `torch`, or `onnx` (onnxruntime: faster for one path, the
+            same results to rounding), which keeps to the present weights and to the model's own
+            guidance and number of steps.
+        graphs: folder that keeps the graphs of the backend `onnx`; a missing one is exported, which
+            needs onnxscript and up to a minute.
 
     Raises:
         InvalidInputError: the stages have different dimensions, or an unknown backend.
@@ -56,6 +67,7 @@ class Modulator:
         name: str = "unnamed",
         training: Mapping[str, TrainingRecord | None] | None = None,
         backend: str = "torch",
+        graphs: FilePath | None = None,
     ) -> None:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
         self.path_policy = path_policy
@@ -72,10 +84,11 @@ class Modulator:
             raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
         sample, self._policy = path_diffuser.sample, path_policy
         if backend == "onnx":
-            from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy
+            from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy, load_graph
 
-            sample = OnnxPathDiffuser(path_diffuser).sample
-            self._policy = path_policy and OnnxPathPolicy(path_policy)
+            sample = OnnxPathDiffuser(path_diffuser, load_graph(path_diffuser, graphs)).sample
+            if path_policy is not None:
+                self._policy = OnnxPathPolicy(path_policy, load_graph(path_policy, graphs))
         self.sampler = PathSampler(path_diffuser, sample, name)
 
     @property
@@ -104,7 +117,7 @@ class Modulator:
             raise CheckpointError(f"{folder} has no stage 1")
         return cls(
             stages["path"], stages.get("policy"),
-            name=folder.resolve().name, training=training, backend=backend,
+            name=folder.resolve().name, training=training, backend=backend, graphs=folder,
         )  # fmt: skip
 
     def save_pretrained(self, folder: str | FilePath) -> None:
@@ -117,13 +130,14 @@ class Modulator:
         """The archive of a scene by which this model's labels are read; cached."""
         return scene_archive(scene, target, self.config.observer)
 
+    @np.errstate(under="ignore")
     def plan(
         self,
         scene: Scene,
         target: int = 0,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -134,7 +148,7 @@ class Modulator:
             scene: of the model's dimension.
             target: index of the intended goal.
             legibility: ℓ in [−1, 1], a number or `(B,)`.
-            seed: of the paths drawn.
+            seed: of the paths drawn; None draws other paths each time.
             num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
                 to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
                 Between, more than one needs the scene's archive, which is built once (about
@@ -149,7 +163,7 @@ class Modulator:
         self._check_scene(scene)
         target = target_index(target, scene.num_goals)
         levels = legibility_levels(legibility)
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
         num_candidates = count("num_candidates", num_candidates)
         sampling = Sampling(guidance, steps).checked(self.config)
         asked = np.repeat(np.atleast_1d(levels), num_candidates)
@@ -165,13 +179,14 @@ class Modulator:
         waypoints = paths if levels.ndim else paths[0]
         return Path.through(waypoints, scene, target, levels, self.config.observer)
 
+    @np.errstate(under="ignore")
     def plan_many(
         self,
         scenes: Sequence[Scene],
         targets: int | Sequence[int] = 0,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -182,7 +197,7 @@ class Modulator:
             scenes: `B` of the model's dimension.
             targets: index of the intended goal, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
-            seed: of the paths drawn.
+            seed: of the paths drawn; None draws other paths each time.
             num_candidates: see `plan`.
             guidance: see `plan`.
             steps: see `plan`.
@@ -198,10 +213,10 @@ class Modulator:
             raise InvalidInputError("scenes must be at least one, got none")
         indices = [
             target_index(target, scene.num_goals)
-            for scene, target in zip(scenes, _for_each("targets", targets, scenes), strict=True)
+            for scene, target in zip(scenes, for_each("targets", targets, len(scenes)), strict=True)
         ]
-        levels = levels_for(len(scenes), legibility)
-        seed = random_seed("seed", seed)
+        levels = levels_for_each(legibility, len(scenes))
+        seed = seed_or_entropy("seed", seed)
         sampling = Sampling(guidance, steps).checked(self.config)
         if count("num_candidates", num_candidates) > 1:
             seeds = np.random.SeedSequence(seed).generate_state(len(scenes)).tolist()
@@ -226,7 +241,7 @@ class Modulator:
         target: int | None = None,
         legibility: float = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         path: Path | None = None,
         replan: bool = True,
         tolerance: float | None = None,
@@ -243,7 +258,7 @@ class Modulator:
             env: an environment of this package, in any wrappers that leave actions alone.
             target: index of the intended goal; the environment's own if not given.
             legibility: ℓ in [−1, 1].
-            seed: of the paths and actions drawn.
+            seed: of the paths and actions drawn; None draws others each time.
             path: the path to follow instead of planning one; it must start at the robot.
             replan: whether to plan again, with the same ℓ for the rest of the motion, when a push
                 has taken the robot off its path by more than `tolerance` or its goal was moved;
@@ -268,13 +283,14 @@ class Modulator:
         )  # fmt: skip
         return rollout
 
+    @np.errstate(under="ignore")
     def execute_many(
         self,
         env: Any,
         targets: int | Sequence[int] | None = None,
         legibility: ArrayLike = 1.0,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         paths: Sequence[Path] | None = None,
         replan: bool = True,
         tolerance: float | None = None,
@@ -303,7 +319,7 @@ class Modulator:
             InvalidInputError: an argument is out of its range or does not fit the environment.
             CheckpointError: the model has no stage 2.
         """
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
         if driver is None:
             if self._policy is None:
                 raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
@@ -311,7 +327,7 @@ class Modulator:
         fleet = Fleet(env, seed)
         self._check_fleet(fleet)
         off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
-        levels = levels_for(fleet.size, legibility)
+        levels = levels_for_each(legibility, fleet.size)
         if paths is not None and (
             len(paths) != fleet.size or not all(isinstance(path, Path) for path in paths)
         ):
@@ -319,12 +335,12 @@ class Modulator:
                 f"paths must be a legibility.Path for each of {fleet.size} robots, got {paths}"
             )
         if targets is not None:
-            fleet.set_targets(_for_each("targets", targets, fleet.scenes))
+            fleet.set_targets(for_each("targets", targets, fleet.size))
 
         def plan(rows: list[int], positions: Array) -> list[Path]:
             scenes = fleet.scenes
             return self.plan_many(
-                [_from(scenes[row], start) for row, start in zip(rows, positions, strict=True)],
+                [scenes[row].starting_at(x) for row, x in zip(rows, positions, strict=True)],
                 fleet.targets[rows].tolist(), levels[rows],
                 seed=seed, num_candidates=num_candidates, guidance=guidance, steps=steps,
             )  # fmt: skip
@@ -356,6 +372,7 @@ class Modulator:
             raise InvalidSceneError(
                 f"the model {self.name} plans in {self.config.dim}D, the scene is {scene.dim}D"
             )
+        check_scale(scene, self.name)
 
     def _check_fleet(self, fleet: Fleet) -> None:
         dim = fleet.workspace.shape[1]
@@ -368,39 +385,6 @@ class Modulator:
                 f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
                 f"the environment's limit is {fleet.limit} m"
             )
-
-
-def levels_for(size: int, legibility: ArrayLike) -> Array:
-    """ℓ `(size,)`, given one for all or one for each."""
-    levels = legibility_levels(legibility)
-    if levels.ndim and len(levels) != size:
-        raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
-    return np.broadcast_to(levels, (size,)).copy()
-
-
-def _for_each(name: str, value: Any, scenes: Sequence[Scene]) -> list[Any]:
-    """A value for each scene, given one for all or one for each."""
-    if np.ndim(value) == 0:
-        return [value] * len(scenes)
-    if len(value) != len(scenes):
-        raise InvalidInputError(f"{name} must be one for all or {len(scenes)}, got {len(value)}")
-    return list(value)
-
-
-def _from(scene: Scene, start: Array) -> Scene:
-    """The scene for a robot that now stands at `start (D,)` [m].
-
-    An arm reaches a scene's start only as exactly as its joints allow, and may be a little beyond a
-    wall. A robot that was pushed onto a goal is taken to stand just beside it.
-    """
-    if np.linalg.norm(start - scene.start) < _AT_START:
-        return scene
-    start, least = np.clip(start, *scene.workspace), _BESIDE * scene.diagonal
-    if np.linalg.norm(scene.goals - start, axis=-1).min() < least:
-        inward = scene.workspace.mean(axis=0) - start
-        inward[0] += 1e-9  # in the very middle any direction leads inward
-        start = start + 2 * least * inward / np.linalg.norm(inward)
-    return Scene(start, scene.goals, scene.workspace)
 
 
 def _straight_if_near(path: Path) -> Path:

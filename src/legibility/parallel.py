@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import logging
+import multiprocessing
 import os
 import pickle
 import secrets
@@ -39,6 +40,10 @@ _DEATHS = 3
 _PATIENCE = 5.0
 """How long a scheduler may take to answer [s]."""
 
+_UNGUARDED = (
+    "a script must start workers below `if __name__ == '__main__':`, since each of them imports it"
+)
+
 _LOST = 30.0
 """How long a result that is ready may take to come [s]."""
 
@@ -61,6 +66,8 @@ def pool(workers: int = 1, cluster: str | None = None) -> Iterator[Each]:
         WorkerError: no scheduler answers, or, of `each`, workers die again and again.
     """
     count("workers", workers)
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise WorkerError(_UNGUARDED)  # this process would start others, and those others
     if cluster is None:
         yield partial(_in_processes, workers)
         return
@@ -141,6 +148,10 @@ def _dask_client(workers: int, cluster: str) -> Iterator[Any]:
                 place = parse_host_port(cluster.partition("://")[2])
                 socket.create_connection(place, _PATIENCE).close()
             client = stack.enter_context(Client(address, timeout=_PATIENCE, set_as_default=False))
+        except RuntimeError as cause:
+            raise WorkerError(
+                f"the local cluster did not start: {cause} Note: {_UNGUARDED}"
+            ) from cause
         except (OSError, ValueError) as cause:
             raise WorkerError(f"no Dask scheduler answers at {cluster}: {cause}") from cause
         yield client

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from .drivers import Driver, RobotStates
 from .envs.fleet import Fleet
 from .envs.guard import safe_actions
 from .errors import InvalidInputError
+from .intent.belief import time_to_confidence
 from .intent.metrics import SCORE_POINTS
 from .motion.path import Path
 from .motion.tracking import PathTracker
@@ -75,6 +77,12 @@ class Rollout:
         """P(g) of each goal at each state as the observer reads it, `(T + 1, G)`."""
         return self.path.field.posterior(self.states)
 
+    @property
+    def time_to_confidence(self) -> float:
+        """Time [s] after which P(target) ≥ 0.8 for good, inf if never; lower = better."""
+        progress = float(time_to_confidence(self.posterior, self.path.target))
+        return round(progress * len(self.actions) * self.step_seconds, 9)
+
     @cached_property
     def score(self) -> float:
         """`legibility_score` of the executed motion; higher = more legible."""
@@ -86,7 +94,28 @@ class Rollout:
         """The label in [−1, 1] that the executed motion achieves in the scene's archive."""
         return float(self.path.archive.label_of(self.score))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Values for a report; `deviation` is the mean."""
+        return {
+            "legibility": self.legibility,
+            "achieved": self.achieved,
+            "achieved_by_plan": float(self.path.achieved),
+            "score": self.score,
+            "success": self.success,
+            "reason": self.reason,
+            "replans": self.replans,
+            "deviation": self.deviation.mean(),
+            "wall_contacts": self.wall_contacts,
+            "counts": self.counts,
+            "time_to_confidence": self.time_to_confidence,
+            "waypoints": self.path.waypoints,
+            "states": self.states,
+            "actions": self.actions,
+            "posterior": self.posterior,
+        }
 
+
+@np.errstate(under="ignore")
 def follow(
     fleet: Fleet,
     paths: list[Path],

@@ -60,7 +60,7 @@ def test_evaluate(cli, tmp_path):
 def test_a_scene_of_the_plane_is_refused(cli, tmp_path, capsys):
     flat = SCENE.with_name("paper.yaml")
     assert cli(f"execute {flat} --model panda-block-reach --env panda") == 2
-    assert "the environment panda is 3-D, what is asked 2-D" in capsys.readouterr().err
+    assert "the environment panda is 3-D, the model or scene 2-D" in capsys.readouterr().err
     assert cli(f"plan {flat} --model panda-block-reach") == 2
     assert "plans in 3D, the scene is 2D" in capsys.readouterr().err
 

@@ -15,8 +15,14 @@ SCENES = {
     "outside": ("start: [0, 5]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "outside the workspace"),
     "text": ("start: [0, a]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "numbers"),
     "empty": ("", "a scene must be a mapping"),
-    "malformed": ("start: [0, 0.5\n", "not valid yaml"),
+    "malformed": ("start: [0, 0.5\n", "not valid YAML"),
     "no goals": ("start: [0, 0.5]\n", "missing"),
+    "exponent": (
+        "start: [0, 5e-1]\ngoals: [[0.8, 0.6], [1, 0.3]]\n",
+        "write 0.5",
+    ),
+    "yes": ("start: [yes, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "numbers"),
+    "twice": ("start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nstart: [0, 0]\n", "repeated"),
     "4D": ("start: [0, 0, 0, 0]\ngoals: [[1, 0, 0, 0], [0, 1, 0, 0]]\n", "2 or 3 numbers"),
 }
 
@@ -92,7 +98,7 @@ def test_scene_that_does_not_fit_the_environment(refused):
         "start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nworkspace: [[-1, -1], [2, 2]]\n"
     )
     line = "--json j.json --figure f.png --video f.gif"
-    assert "the environment 2d is 2-D, what is asked 3-D" in refused(
+    assert "the environment 2d is 2-D, the model or scene 3-D" in refused(
         f"execute solid.yaml --env 2d {line}"
     )
     assert "the environment panda is 3-D" in refused(f"execute wide.yaml --env panda {line}")

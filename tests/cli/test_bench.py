@@ -5,7 +5,8 @@ from collections import Counter
 
 import pytest
 
-from legibility.bench.tables import bench_section, bench_tables
+from legibility.report.bench import bench_section
+from legibility.report.table import Table, markdown
 
 TINY = (
     "bench --model block-reach-2d --seconds 0.001 --rounds 1 --threads 1 --batches 1 2 --goals 2 4"
@@ -52,13 +53,11 @@ def test_rows(document):
 
 
 def test_report(folder, document, cli, capsys):
-    page = folder / "page.md"
-    page.write_text("<!-- bench-cpu -->\n<!-- /bench-cpu -->\n")
-    assert cli("report", folder, "--readme", page) == 0
+    assert cli("report", folder, "--out", folder / "page.md") == 0
     section = bench_section(document)
-    assert page.read_text() == f"<!-- bench-cpu -->\n{section}\n<!-- /bench-cpu -->\n"
-    assert section in capsys.readouterr().out
-    assert all(rows for _, _, rows, _ in bench_tables(document))
+    assert markdown(section) in (folder / "page.md").read_text()
+    assert all(part.rows for part in section if isinstance(part, Table))
+    capsys.readouterr()
 
 
 @pytest.mark.parametrize(

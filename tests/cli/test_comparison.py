@@ -34,10 +34,14 @@ def baselines(dataset, cli, tmp_path_factory, one_thread):
 def test_weights(baselines):
     plain, guided = (load_stages(folder) for folder in baselines.values())
     assert plain[0]["goal"].config.guidance == 0
-    assert plain[1]["goal"]["training"]["dropout"] == 0
-    assert "tuning" not in plain[1]["goal"]
-    assert guided[1]["goal"]["training"]["dropout"] == 0.2
-    tuning = guided[1]["goal"]["tuning"]
+    assert plain[1]["goal"].training["dropout"] == 0
+    assert guided[1]["goal"].training["dropout"] == 0.2
+    plain_report, report = (
+        json.loads((baselines["diffusion-policy"].parent / f"{verb}.json").read_text())
+        for verb in baselines
+    )
+    assert "tuning" not in plain_report["result"]
+    tuning = report["result"]["tuning"]
     assert len(tuning) == 4
     assert {row["guidance"] for row in tuning} == {2.0, 5.0}
     config = guided[0]["goal"].config
@@ -47,16 +51,13 @@ def test_weights(baselines):
         if (row["guidance"], row["guidance_share"]) == (config.guidance, config.guidance_share)
     ]  # fmt: skip
     assert chosen[0]["success"] >= min(0.99, best)
-    report = json.loads(
-        (baselines["diffusion-policy"].parent / "diffusion-policy.json").read_text()
-    )
     assert report["result"]["last"]["step"] == 20
     assert set(report["model"]) == {"name", "goal"}
 
 
 @pytest.fixture(scope="module")
 def measured(baselines, cli, tmp_path_factory, one_thread):
-    """Results of the comparisons, and a page to be filled."""
+    """Results of the comparisons."""
     folder = tmp_path_factory.mktemp("compared")
     models = [x for name, path in baselines.items() for x in (f"--{name}", path)]
     common = "--env 2d --seed 1 --search-candidates 64"
@@ -83,19 +84,16 @@ def test_what_is_written(measured, baselines):
 
 
 def test_report(measured, cli, capsys):
-    page = measured / "page.md"
-    kinds = ("table1", "unseen", "spectrum")
-    page.write_text("".join(f"<!-- {k}-2d -->\n<!-- /{k}-2d -->\n" for k in kinds))
-    assert cli("report", measured / "results", "--readme", page) == 0
-    text = page.read_text()
-    for kind in kinds:
-        section = (measured / "results" / f"{kind}-2d.md").read_text().strip()
-        assert section in text
-        assert f"Measured by `legibility evaluate {kind} " in section
-    assert (measured / "results" / "table1-2d.csv").read_text().startswith("environment,method,")
-    assert r"\toprule" in (measured / "results" / "table1-2d.tex").read_text()
+    assert cli("report", measured / "results", "--tables", measured / "tables") == 0
+    page = (measured / "docs" / "results.md").read_text()
+    for kind in ("table1", "unseen", "spectrum"):
+        assert f"Measured by `legibility evaluate {kind} " in page
+    assert (
+        (measured / "tables" / "table1-2d-1.csv").read_text().startswith("method,success,target R")
+    )
+    assert r"\multicolumn{4}{c}{target R}" in (measured / "tables" / "table1-2d-1.tex").read_text()
     assert (measured / "results" / "spectrum-2d.png").read_bytes().startswith(b"\x89PNG")
-    assert (measured / "results" / "spectrum-2d.pdf").read_bytes().startswith(b"%PDF")
+    assert (measured / "tables" / "spectrum-2d.pdf").read_bytes().startswith(b"%PDF")
     capsys.readouterr()
 
 
@@ -106,7 +104,7 @@ def test_report(measured, cli, capsys):
         ("table1 --rollouts 1", "rollouts must be"),
         ("table1 --diffusion-policy none", "there are no weights 'none'"),
         ("table1 --diffusion-policy block-reach-2d", "has no goal-conditioned policy"),
-        ("table1 --model panda-block-reach", "what is asked 3-D"),
+        ("table1 --model panda-block-reach", "the model or scene 3-D"),
         ("unseen --scenes 1", "scenes must be"),
         ("unseen --goals 1..2", "goals must be"),
         ("spectrum --levels 2", "levels must be"),

@@ -1,5 +1,14 @@
 import json
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
+
+from legibility.evaluation.dial import METRICS
+from legibility.evaluation.execution import ROWS
+
+VERBS = ("dial", "execution", "table1", "unseen", "spectrum", "ablations")
 
 
 def test_dial(here, weights, cli, capsys):
@@ -13,9 +22,9 @@ def test_dial(here, weights, cli, capsys):
     assert content["config"]["guidance"] is None
     assert content["model"]["name"] == weights
     assert len(content["result"]["scenes"]) == 2
-    for name, figures in content["result"]["overall"].items():
-        assert name in text
-        assert len(figures["interval"]) == 2
+    for name, values in content["result"]["overall"].items():
+        assert METRICS[name].text in text
+        assert len(values["interval"]) == 2
     assert "<svg" in Path("e.svg").read_text()
 
 
@@ -41,9 +50,9 @@ def test_execution(here, one_thread, cli, capsys):
         "env": None,
     }  # fmt: skip
     for name, row in content["result"]["rows"].items():
-        assert name in text
+        assert ROWS[name].text in text
         assert sum(row["reasons"].values()) == 3
-    assert "3 at once on 1 threads" in text
+    assert "With 3 robots at once" in " ".join(text.split())
 
 
 def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys):
@@ -65,12 +74,32 @@ def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys)
     for row in rows.values():
         assert row["text"] in output.out
         assert f"{row['text']}: spearman " in output.err
-    assert cli("report .") == 0
-    section = Path("ablations-tiny.md").read_text()
-    assert section.strip() in capsys.readouterr().out
-    assert "| small run on rank labels | " in section
+    assert cli("report . --out page.md") == 0
+    assert "| small run on rank labels | " in Path("page.md").read_text()
     assert not Path("ablations-tiny.png").exists()
 
     monkeypatch.setattr("legibility.training.path.PathBatches.loss", None)
     assert cli(words, dataset, "--model", weights) == 0
     assert json.loads(Path("ablations-tiny.json").read_text()) == content
+
+
+@pytest.mark.parametrize("verb", [*(f"evaluate {verb}" for verb in VERBS), "report"])
+def test_help_is_light(verb):
+    code = (
+        "import sys; from legibility.cli import main; main(sys.argv[1:]);"
+        "sys.exit(bool({'torch', 'matplotlib', 'scipy.stats', 'diffusers'} & set(sys.modules)))"
+    )
+    words = [*verb.split(), "--help"]
+    run = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=False)
+    assert run.returncode == 0
+    assert b"--json" in run.stdout or verb == "report"
+
+
+def test_json_is_written_before_a_picture_fails(here, weights, cli, monkeypatch):
+    def fail(*_):
+        raise OSError("no font")
+
+    monkeypatch.setattr("legibility.figures.dial.dial_figure", fail)
+    flags = "--scenes 1 --goals 2 --levels 3 --samples 1 --candidates 0"
+    assert cli(f"evaluate dial {flags} --json e.json --figure e.png --model", weights) == 2
+    assert json.loads(Path("e.json").read_text())["result"]["overall"]

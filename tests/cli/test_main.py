@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 import subprocess
@@ -117,7 +118,8 @@ def test_interrupt_from_the_keyboard(here, request):
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers as well
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130
-    assert errors == "legibility: interrupted; the same command resumes\n"
+    lines = [line for line in errors.splitlines() if not line.startswith("legibility: shards")]
+    assert lines == ["legibility: interrupted; the same command resumes"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
@@ -150,6 +152,66 @@ def test_output_that_knows_only_ascii(here):
     )
     assert (found.returncode, found.stderr) == (0, "")
     assert "achieved_label" in found.stdout
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_the_shell_closed(here, closed):
+    Path("paths.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    line = f"'{sys.executable}' -m legibility score paths.csv {{}} --json j.json {closed}"
+    for scene, status in (("none.yaml", 2), ("scene.yaml", 0)):
+        finished = subprocess.run(["sh", "-c", line.format(scene)], timeout=60, capture_output=True)
+        assert finished.returncode == status
+        assert Path("j.json").exists() == (status == 0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere file names are Unicode")
+def test_file_names_that_are_no_utf8(here, capsys):
+    scene, report = os.fsdecode(b"caf\xe9.yaml"), os.fsdecode(b"j\xe9.json")
+    Path("scene.yaml").rename(scene)
+    Path("paths.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    found = command("score", "paths.csv", scene, "--json", report)
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "caf?.yaml" in found.stdout
+    assert scene in json.loads(Path(report).read_text(encoding="utf-8"))["command"]
+    found = command("score", "paths.csv", scene[1:])
+    assert (found.returncode, found.stderr.count("\n")) == (2, 1)
+
+
+def test_home_folder(here, monkeypatch):
+    monkeypatch.setenv("HOME", str(here))
+    monkeypatch.setenv("USERPROFILE", str(here))
+    Path("paths.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    assert main(["score", "~/paths.csv", "~/scene.yaml", "--json=~/j.json"]) == 0
+    assert "'--json=~/j.json'" in json.loads(Path("j.json").read_text())["command"]
+    assert not Path("~").exists()
+
+
+def test_backend_of_a_notebook(here, dataset):
+    found = command(
+        "data", "--info", str(dataset), "--figure", "f.png",
+        env={**os.environ, "MPLBACKEND": "module://not_installed.backend_inline"},
+    )  # fmt: skip
+    assert (found.returncode, found.stderr) == (0, "")
+    assert Path("f.png").exists()
+
+
+def test_numbers_are_written_before_pictures(here, weights, monkeypatch, capsys):
+    from legibility.errors import OutputError
+
+    def no_picture(*_, **__):
+        raise OutputError("no picture")
+
+    for module in ("plan", "dial"):
+        monkeypatch.setattr(f"legibility.figures.{module}.figure_file", no_picture)
+    line = ["plan", "scene.yaml", "--model", weights, "--figure", "f.png"]
+    assert main([*line, "--json", "j.json", "--csv", "c.csv"]) == 2
+    assert capsys.readouterr().err == "legibility: error: no picture\n"
+    assert Path("j.json").exists()
+    assert Path("c.csv").exists()
+    line = ["evaluate", "dial", "--scenes", "1", "--model", weights, "--figure", "f.png"]
+    assert main([*line, "--json", "d.json"]) == 2
+    assert Path("d.json").exists()
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="/dev/full of Linux")

@@ -92,10 +92,37 @@ def test_markup_is_text(capsys):
     assert capsys.readouterr().out == "[bold]a[/bold] :smile: 1\n"
 
 
-def test_progress_is_silent_off_a_terminal(capsys, monkeypatch):
-    monkeypatch.setattr(output, "_PATIENCE", -1)
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock [s] that stands still unless it is set."""
+    now = [0.0]
+    monkeypatch.setattr(output.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_quick_work_shows_no_progress(capsys, clock):
     with output.progress_bar("things") as progress:
-        progress(1, 2)
-        progress(2, 2, "a line")
+        for done in range(101):
+            clock[0] = 0.01 * done
+            progress(done, 100, "a line" if done == 50 else "")
     printed = capsys.readouterr()
     assert (printed.out, printed.err) == ("", "a line\n")
+
+
+def test_progress_off_a_terminal_is_a_line_for_each_tenth(capsys, clock):
+    with output.progress_bar("things") as progress:
+        for done in range(101):
+            clock[0] = done
+            progress(done, 100)
+    printed = capsys.readouterr()
+    lines = [f"legibility: things {done} of 100" for done in range(10, 101, 10)]
+    assert (printed.out, printed.err.splitlines()) == ("", lines)
+
+
+def test_slow_work_is_heard_of_every_half_minute(capsys, clock):
+    with output.progress_bar("things") as progress:
+        for done in range(21):
+            clock[0] = 8.0 * done
+            progress(done, 1000)
+    lines = [f"legibility: things {done} of 1000" for done in (4, 8, 12, 16, 20)]
+    assert capsys.readouterr().err.splitlines() == lines

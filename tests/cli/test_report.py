@@ -8,12 +8,11 @@ from legibility.files import file_hash
 from legibility.models.pretrained import pretrained_folder
 
 KINDS = ("dial", "closed-loop", "execution")
-PAGE = "before\n" + "".join(f"<!-- {k}-tiny -->\nold\n<!-- /{k}-tiny -->\n" for k in KINDS)
 
 
 @pytest.fixture(scope="module")
 def measured(cli, one_thread, tmp_path_factory):
-    """Measurements of the shipped model, its weights in models/tiny, and a page."""
+    """Results of the shipped model, and its weights in models/tiny."""
     folder = tmp_path_factory.mktemp("measured")
     dial = "evaluate dial --scenes 1 --seed 1 --levels 3 --samples 1 --candidates 0"
     for kind, words in {
@@ -24,7 +23,6 @@ def measured(cli, one_thread, tmp_path_factory):
         assert cli(f"{words} --json", folder / "results" / f"{kind}-tiny.json") == 0
     shutil.copytree(pretrained_folder("block-reach-2d"), folder / "models" / "tiny")
     (folder / "models" / "tiny" / "README.md").unlink(missing_ok=True)
-    (folder / "page.md").write_text(PAGE)
     return folder
 
 
@@ -35,46 +33,49 @@ def results(measured, here, capsys):
     return here
 
 
-REPORT = "report results --readme page.md --weights models"
+REPORT = "report results --weights models"
 
 
 def test_report(results, cli, capsys):
     assert cli(REPORT) == 0
-    text, expected = capsys.readouterr().out, "before\n"
-    card = Path("models/tiny/README.md").read_text()
+    written = capsys.readouterr().out.split()
+    assert all(Path(file).stat().st_size for file in written)
+    page = Path("docs/results.md").read_text()
     for kind in KINDS:
-        section = Path(f"results/{kind}-tiny.md").read_text().strip()
-        assert "Measured by `legibility evaluate " in section
-        assert section in text
-        assert section in card
-        expected += f"<!-- {kind}-tiny -->\n{section}\n<!-- /{kind}-tiny -->\n"
-    assert Path("page.md").read_text() == expected
-    assert "| Spearman correlation of asked and achieved ℓ | " in expected
-    assert "| stage 2 without the path | " in expected
+        command = json.loads(Path(f"results/{kind}-tiny.json").read_text())["command"]
+        assert f"Measured by `{command}`." in page
     for kind in ("dial", "closed-loop"):
+        assert f"(../results/{kind}-tiny.png)" in page
         assert Path(f"results/{kind}-tiny.png").read_bytes().startswith(b"\x89PNG")
-    assert cli("report results --readme page.md") == 0
-    assert Path("page.md").read_text() == expected
+    assert "| stage 2 without the path | " in page
+    assert "`docs/results.md`" in Path("models/tiny/README.md").read_text()
+    assert cli(REPORT) == 0
+    assert Path("docs/results.md").read_text() == page
 
 
-def test_distilled_weights_are_shown_beside_their_teacher(results, cli):
-    for kind in KINDS:
-        shutil.copy(f"results/{kind}-tiny.json", f"results/{kind}-tiny-fast.json")
-    page = Path("page.md")
-    page.write_text(PAGE + "<!-- distilled -->\n<!-- /distilled -->\n")
-    assert cli("report results --readme page.md") == 0
-    section = Path("results/distilled.md").read_text().strip()
-    assert "| tiny-fast | " in section
-    assert f"<!-- distilled -->\n{section}\n<!-- /distilled -->" in page.read_text()
-    assert Path("results/dial-tiny-fast.md").read_text() == Path("results/dial-tiny.md").read_text()
-
-
-def test_without_page_and_weights(results, cli):
-    Path("results/execution-tiny.json").unlink()
-    assert cli("report results") == 0
-    assert Path("page.md").read_text() == PAGE
+def test_page_elsewhere_links_the_pictures(results, cli):
+    assert cli("report results --out a/b/page.md") == 0
+    assert "(../../results/dial-tiny.png)" in Path("a/b/page.md").read_text()
+    assert not Path("docs").exists()
     assert not Path("models/tiny/README.md").exists()
-    assert not Path("results/execution-tiny.md").exists()
+
+
+def test_tables(results, cli):
+    assert cli("report results --tables build") == 0
+    for kind in KINDS:
+        assert r"\toprule" in Path(f"build/{kind}-tiny-1.tex").read_text()
+        assert Path(f"build/{kind}-tiny-1.csv").read_text().count("\n") > 5
+    assert Path("build/dial-tiny.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_texts_are_written_before_a_picture_fails(results, cli, monkeypatch):
+    def fail(*_):
+        raise KeyError("no font")
+
+    monkeypatch.setattr("legibility.figures.dial.dial_figure", fail)
+    assert cli(REPORT) == 2
+    assert Path("docs/results.md").exists()
+    assert Path("models/tiny/README.md").exists()
 
 
 def test_weights_that_were_just_trained(results, executable, cli):
@@ -91,38 +92,31 @@ def test_weights_that_were_just_trained(results, executable, cli):
     assert "20 batches of 16 moments of demonstrations" in card
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_page_without_a_place(kind, results, refused):
-    Path("page.md").write_text(PAGE.replace(f"<!-- {kind}-tiny -->", ""))
-    assert f"<!-- {kind}-tiny -->" in refused(REPORT)
-
-
-def test_no_page(results, refused):
-    Path("page.md").unlink()
-    assert "cannot read the Markdown file page.md" in refused(REPORT)
+def test_page_is_a_folder(results, refused):
+    assert "cannot write the page results" in refused("report results --out results")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_missing_measurement(kind, results, refused):
+def test_missing_result(kind, results, refused):
     Path(f"results/{kind}-tiny.json").unlink()
     assert f"there is no {kind}-tiny.json" in refused(REPORT)
 
 
 @pytest.mark.parametrize(("kind", "stage"), [("dial", "path"), ("execution", "policy")])
-def test_measurement_of_other_weights(kind, stage, results, refused):
+def test_result_of_other_weights(kind, stage, results, refused):
     file = Path(f"results/{kind}-tiny.json")
     content = json.loads(file.read_text())
     content["model"][stage] = "0" * 64
     file.write_text(json.dumps(content))
-    assert f"the measurement {kind}-tiny.json is of other weights" in refused(REPORT)
+    assert f"{kind}-tiny.json is a result of other weights" in refused(REPORT)
 
 
 @pytest.mark.parametrize(("kind", "other"), [("dial", "closed-loop"), ("closed-loop", "dial"),
                                              ("execution", "dial"), ("dial", "execution"),
                                              ("closed-loop", "execution")])  # fmt: skip
-def test_measurement_of_another_kind(kind, other, results, refused):
+def test_result_of_another_kind(kind, other, results, refused):
     shutil.copy(f"results/{other}-tiny.json", f"results/{kind}-tiny.json")
-    assert f"results/{kind}-tiny.json is not" in refused(REPORT)
+    assert f"{kind}-tiny.json is not a result of the kind {kind}" in refused(REPORT)
 
 
 @pytest.mark.parametrize("spoil", [
@@ -131,10 +125,9 @@ def test_measurement_of_another_kind(kind, other, results, refused):
     lambda entry: entry.update(training={"steps": 3}),
     lambda entry: entry.pop("config"),
 ], ids=["none", "unknown", "partial", "shape"])  # fmt: skip
-def test_weights_that_nobody_knows(spoil, results, refused):
+def test_weights_of_unknown_training(spoil, results, refused):
     file = Path("models/tiny/config.json")
     content = json.loads(file.read_text())
-    spoil(content["policy" if "policy" in content else "path"])
     spoil(content["path"])
     file.write_text(json.dumps(content))
     assert "tiny" in refused(REPORT)

@@ -48,16 +48,58 @@ def test_even_times_change_nothing(tmp_path):
     np.testing.assert_array_equal(found, [[0, 0], [0.3, 1], [0.4, 0]])
 
 
+def frame(**options):
+    pandas = pytest.importorskip("pandas")
+    return pandas.DataFrame({"x": [0.1, 0.3], "y": [0.2, 0.4]}).to_csv(**options)
+
+
+OTHERS = {
+    "further columns": ("timestamp,x,yaw,y\n1e9,0.1,,0.2\n1e9,0.3,a,0.4\n", "timestamp, yaw"),
+    "an index of pandas": (frame(), "without a name"),
+    "an index of pandas, tabs": (frame(sep="\t"), "without a name"),
+    "semicolons": ("x;y\n.1;.2\n.3;.4\n", None),
+    "tabs": ("x\ty\n.1\t.2\n.3\t.4\n", None),
+    "blanks": ("x  y\n .1  .2\n .3  .4\n", None),
+    "np.savetxt": ("# x,y\n1.0e-01,2.0e-01\n3.0e-01,4.0e-01\n", None),
+    "np.savetxt of two lines": ("# made by a robot\n# x y\n0.1 0.2\n0.3 0.4\n", None),
+    "ROS": ("%time,x,y,field.seq\n1700000000000,.1,.2,7\n1700000000500,.3,.4,8\n", "field.seq"),
+    "units": ("X [m];Y (m);t [s]\n.1;.2;0\n.3;.4;1\n", None),
+    "another frame": ("x,y,X_ref,x_dot\n.1,.2,9,9\n.3,.4,9,9\n", "x_ref, x_dot"),
+    "old line ends": ("x,y\r.1,.2\r.3,.4\r", None),
+}
+
+
+@pytest.mark.parametrize(("content", "left_out"), OTHERS.values(), ids=OTHERS)
+def test_files_of_other_programs(content, left_out, tmp_path, capsys):
+    file = tmp_path / "t.csv"
+    file.write_bytes(content.encode())
+    np.testing.assert_array_equal(read_trajectories(file, PLANE)["1"], [[0.1, 0.2], [0.3, 0.4]])
+    expected = f"legibility: {file}: columns left out: {left_out}\n" if left_out else ""
+    assert capsys.readouterr().err == expected
+
+
+def test_an_arm_that_overshoots_a_wall_is_read(tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text("x,y,z\n0.105,0,0.1\n0,0,0.015\n")
+    np.testing.assert_array_equal(
+        read_trajectories(file, SOLID)["1"], [[0.105, 0, 0.1], [0, 0, 0.015]]
+    )
+
+
 BAD = {
     "empty": ("", "is empty"),
     "blank": ("\n\n", "is empty"),
     "no points": ("x,y\n", "no points"),
-    "no header": ("0,0.5\n0.8,0.6\n", "line 1: unknown column '0'"),
+    "no header": ("0,0.5\n0.8,0.6\n", "line 1: there is no header: .* must name .*, as x,y$"),
+    "no header of blanks": ("0.0e+00 5.0e-01\n8.0e-01 6.0e-01\n", "line 1: there is no header"),
+    "no header, decimal commas": ("0,5;0,6\n0,7;0,6\n", "line 1: there is no header"),
+    "decimal commas": ("x;y\n0,5;0,6\n0;0\n", "line 2: x must be .*'0,5'; write a decimal point"),
+    "centimetres": ("x [cm],y [cm]\n0,0\n1,1\n", r"line 1: x must be in metres, got x \[cm\]"),
+    "comments alone": ("# a\n# b\n", "line 1: the scene is 2D: columns x, y are needed, got a"),
     "missing column": ("x\n0\n1\n", "line 1: the scene is 2D: columns x, y are needed, got x"),
     "third dimension": ("x,y,z\n0,0,0\n1,1,0\n", "line 1: the scene is 2D"),
-    "unknown column": ("x,y,speed\n0,0,1\n1,1,1\n", "line 1: unknown column 'speed'"),
-    "semicolons": ("x;y\n0;0\n1;1\n", "line 1: unknown column 'x;y'"),
-    "column twice": ("x,y,x\n0,0,0\n1,1,1\n", "line 1: a column is there twice"),
+    "other names": ("a,b\n0,0\n1,1\n", "line 1: the scene is 2D: .* got a, b"),
+    "column twice": ("x [m],y,X\n0,0,0\n1,1,1\n", "line 1: a column is there twice"),
     "time twice": ("x,y,t,time\n0,0,0,0\n1,1,1,1\n", "line 1: a column is there twice"),
     "text": ("x,y\n0,0\n1,one\n", "line 3: y must be a number, got 'one'"),
     "gap": ("x,y\n0,0\n\n1,\n", "line 4: y must be a number, got ''"),

@@ -4,10 +4,13 @@ import subprocess
 import sys
 
 import gymnasium
+import numpy as np
 import pytest
+from episodes import equal, toward
 
 from legibility.envs import DEFAULT_ENVIRONMENT, ENVIRONMENTS, MAX_EPISODE_STEPS, vector_type
 from legibility.errors import InvalidInputError
+from legibility.scene import Scene
 
 NEEDS = {"2d": (), "panda": ("mujoco", "mink"), "pandagym": ("panda_gym", "pybullet")}
 
@@ -38,6 +41,23 @@ def test_the_default_is_of_the_dimension(name):
             assert vector_type(name, dim).dim == dim
 
 
+def test_every_position_is_a_start(name):
+    """Also that of an arm which overshoots a wall."""
+    env = vector_type(name, 2 if name == "2d" else 3)(4)
+    env.reset(seed=0)
+    low, high = env.workspace
+    rng, beyond = np.random.default_rng(0), 0.0
+    for step in range(60):
+        if step % 10 == 0:
+            directions = rng.choice([-1, 1], size=(4, env.dim))
+        env.step(env.max_displacement * directions)
+        beyond = max(beyond, (low - env.positions).max(), (env.positions - high).max())
+        for scene, position in zip(env.scenes, env.positions, strict=True):
+            start = Scene(position, scene.goals, scene.workspace).start
+            np.testing.assert_array_equal(start, np.clip(position, low, high))
+    assert (beyond > 1e-6) == (name != "2d")
+
+
 def test_all_arms_have_one_interface():
     for module in (*NEEDS["panda"], *NEEDS["pandagym"]):
         pytest.importorskip(module, reason=f"to compare the arms {module} is needed")
@@ -57,7 +77,7 @@ def test_all_arms_have_one_interface():
 @pytest.mark.parametrize(
     ("name", "dim", "match"),
     [("3d", 3, "env must be one of 2d, panda, pandagym, got '3d'"),
-     ("2d", 3, "the environment 2d is 2-D, what is asked 3-D")],
+     ("2d", 3, "the environment 2d is 2-D, the model or scene 3-D")],
 )  # fmt: skip
 def test_refuses(name, dim, match):
     with pytest.raises(InvalidInputError, match=match):
@@ -78,3 +98,23 @@ def test_a_missing_extra_is_named(name, module):
     last = run.stderr.splitlines()[-1]
     assert "MissingExtraError" in last
     assert f"pip install 'legibility[{name}]'" in last
+
+
+def test_global_settings_of_numpy_and_torch_change_nothing(name):
+    torch = pytest.importorskip("torch")
+
+    def episode():
+        env = vector_type(name, 2 if name == "2d" else 3)(2, render_mode="rgb_array")
+        options = {"noise": 0.002, "push": 0.05, "shift": 0.05}
+        results = [env.reset(seed=1, options=options)]
+        results += [env.step(toward(env)) for _ in range(25)]
+        results += [env.step(np.zeros_like(env.positions)) for _ in range(5)]
+        return (*results, env.render() if name == "2d" else ())
+
+    expected = episode()
+    torch.set_default_dtype(torch.float64)
+    try:
+        with np.errstate(all="raise"):
+            assert equal(episode(), expected)
+    finally:
+        torch.set_default_dtype(torch.float32)

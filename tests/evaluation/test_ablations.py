@@ -12,7 +12,7 @@ from legibility.errors import CheckpointError, InvalidInputError
 from legibility.evaluation import ablations
 from legibility.evaluation.ablations import COLUMNS, evaluate_ablations, variants
 from legibility.evaluation.configuration import AblationsConfig
-from legibility.evaluation.dial import FIGURES
+from legibility.evaluation.dial import METRICS
 from legibility.intent.observer import Observer
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
@@ -96,7 +96,7 @@ class TestEvaluate:
         assert list(result["rows"]) == ROWS
         for name, row in result["rows"].items():
             assert row["small_run"] == (name in SMALL)
-            assert set(COLUMNS) <= set(row["overall"]) <= set(FIGURES)
+            assert set(COLUMNS) <= set(row["overall"]) <= set(METRICS)
             assert row["plan_ms"] == 1.5
 
     def test_rows_are_of_the_weights_that_they_say(self, evaluated, model):

@@ -16,7 +16,7 @@ from legibility.data.dataset import paths_of
 from legibility.errors import InvalidInputError
 from legibility.evaluation import dial
 from legibility.evaluation.configuration import DialConfig
-from legibility.evaluation.dial import FIGURES, evaluate_dial, worst
+from legibility.evaluation.dial import METRICS, evaluate_dial, worst
 from legibility.intent.metrics import SCORE_POINTS, legibility_score
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
@@ -270,7 +270,7 @@ class TestProtocol:
 
 class TestReport:
     def test_structure(self, found):
-        assert set(found["overall"]) == set(FIGURES) - EXECUTED
+        assert set(found["overall"]) == set(METRICS) - EXECUTED
         assert found["levels"] == [-1, -0.5, 0, 0.5, 1]
         assert len(found["scenes"]) == 3
         assert found["plan_ms"] > 0
@@ -341,7 +341,7 @@ class TestReport:
 
     def test_without_candidates(self, tiny):
         plain = evaluate_dial(tiny, dataclasses.replace(SMALL, candidates=0, scenes=1))
-        assert set(FIGURES) - set(plain["overall"]) == {"error_candidates"} | EXECUTED
+        assert set(METRICS) - set(plain["overall"]) == {"error_candidates"} | EXECUTED
 
     def test_threads_are_left_as_they_were(self, tiny):
         before = torch.get_num_threads()
@@ -367,7 +367,7 @@ class TestClosedLoop:
 
         def measure(change=lambda states: states, success=True):
             def execute(env, *, legibility, seed, path):
-                seen.append((env.gains, env.scenes, env.targets))
+                seen.append((env.hidden["gain"].copy(), env.scenes, env.targets))
                 np.testing.assert_array_equal([p.legibility for p in path], legibility)
                 found = []
                 for one in path:
@@ -386,7 +386,7 @@ class TestClosedLoop:
 
     def test_of_motions_that_follow_their_paths_it_is_the_dial_of_plans(self, executed, shipped):
         closed, found = executed(), evaluate_dial(shipped, SMALL)
-        assert set(closed["overall"]) == set(FIGURES) - {
+        assert set(closed["overall"]) == set(METRICS) - {
             "error_candidates",
             "drawn_inside",
             "turning",

@@ -37,7 +37,7 @@ def found(modulator, seen):
     execute = modulator.execute
 
     def spy(env, **options):
-        gains, positions = env.gains, env.positions.copy()
+        gains, positions = env.hidden["gain"].copy(), env.positions.copy()
         rollouts = execute(env, **options)
         if options.get("driver") is not None:
             seen.append((gains, positions, options, rollouts))

@@ -2,17 +2,20 @@
 
 import numpy as np
 import pytest
-from legibility.execution import Feedback, Fleet, follow
+from pictures import path_of
 from PIL import Image
 
 import legibility as lg
 from legibility.curves import spaced
-from legibility.data.dataset import paths_of
+from legibility.drivers import Feedback
 from legibility.envs import vector_type
+from legibility.envs.fleet import Fleet
 from legibility.errors import InvalidInputError, OutputError
 from legibility.evaluation.spectrum import Spectrum
+from legibility.evaluation.table1 import SCENES
 from legibility.figures.spectrum import spectrum_figure
 from legibility.intent.metrics import potential_cost
+from legibility.rollout import follow
 
 LEVELS = (-1.0, 0.0, 1.0)
 
@@ -25,11 +28,7 @@ def rollouts(request):
         pytest.importorskip("mujoco", reason="the extra named panda is not installed")
     scene = lg.Scene.random(np.random.default_rng(3), dim=dim, num_goals=2)
     archive = lg.build_archive(scene, cells=8, random_candidates=512, max_candidates=2048)
-    plans = [
-        lg.Path(scene, 0, np.array(level), paths_of(archive)[archive.nearest(level)], np.False_,
-                archive.field, archive.alpha, archive.label)
-        for level in LEVELS
-    ]  # fmt: skip
+    plans = [path_of(archive, level) for level in LEVELS]
     env = vector_type(None, dim)(len(LEVELS))
     env.reset(seed=0, options={"scene": scene})
     return follow(Fleet(env, 0), plans, Feedback())
@@ -38,7 +37,7 @@ def rollouts(request):
 @pytest.mark.parametrize("suffix", [".png", ".pdf"])
 def test_is_written(rollouts, tmp_path, suffix, recwarn):
     file = tmp_path / f"spectrum{suffix}"
-    spectrum_figure([Spectrum.of(rollouts, 0.04)], file)
+    spectrum_figure([Spectrum.of(rollouts)], file)
     assert file.stat().st_size > 5000
     if suffix == ".png":
         picture = np.asarray(Image.open(file).convert("RGB"))
@@ -59,16 +58,19 @@ def test_costs_are_those_of_the_motions(rollouts, tmp_path, monkeypatch):
         yield figure
 
     monkeypatch.setattr("legibility.figures.spectrum.figure_file", keep)
-    spectrum_figure([Spectrum.of(rollouts[::-1], 0.04)], tmp_path / "x.png")
+    spectrum_figure([Spectrum.of(rollouts[::-1])], tmp_path / "x.png")
     line = figure.axes[-1].lines[0]
     np.testing.assert_array_equal(line.get_xdata(), LEVELS)
-    costs = [potential_cost(spaced(r.states, 0.04), r.path.field, r.path.target) for r in rollouts]
+    spacing = SCENES[rollouts[0].path.scene.dim].spacing
+    costs = [
+        potential_cost(spaced(r.states, spacing), r.path.field, r.path.target) for r in rollouts
+    ]
     np.testing.assert_allclose(line.get_ydata(), costs)
     assert costs[0] > costs[1]
 
 
 def test_refuses(rollouts, tmp_path):
     with pytest.raises(InvalidInputError, match="at least one motion"):
-        Spectrum.of([], 0.04)
+        Spectrum.of([])
     with pytest.raises(OutputError, match="must end in"):
-        spectrum_figure([Spectrum.of(rollouts, 0.04)], tmp_path / "x.gif")
+        spectrum_figure([Spectrum.of(rollouts)], tmp_path / "x.gif")

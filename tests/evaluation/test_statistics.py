@@ -7,9 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from legibility.evaluation.statistics import (
-    CONFIDENT,
     bootstrap_interval,
-    clear_step,
     holm,
     paired_test,
     rank_correlation,
@@ -115,17 +113,6 @@ class TestShareInterval:
         rng = np.random.default_rng(0)
         intervals = [share_interval(rng.random(80) < share) for _ in range(300)]
         assert np.mean([low <= share <= high for low, high in intervals]) > 0.95
-
-
-@given(st.lists(st.floats(0, 1), min_size=2, max_size=30))
-def test_clear_step(beliefs):
-    beliefs = np.array(beliefs)
-    found = clear_step(np.stack([1 - beliefs, beliefs], axis=-1), 1)
-    if found is None:
-        assert beliefs[-1] < CONFIDENT
-    else:
-        assert (beliefs[found:] >= CONFIDENT).all()
-        assert found == 0 or beliefs[found - 1] < CONFIDENT
 
 
 class TestPaired:

@@ -1,41 +1,16 @@
+"""The figure of the dial, and what the shared style promises for every figure."""
+
+import os
+import subprocess
 import sys
 
 import numpy as np
 import pytest
 from matplotlib import rcParams
-from PIL import Image
+from pictures import assert_picture, assert_vector
 
-import legibility as lg
-from legibility.data.dataset import paths_of
 from legibility.errors import InvalidInputError, OutputError
-from legibility.figures.dial import archive_figure, dial_figure, plan_figure
-from legibility.modulator import Path
-
-SCENES = {
-    2: lg.Scene(start=[0, 0.5], goals=[[0.8, 0.6], [1, 0.3]]),
-    3: lg.Scene(start=[-0.2, 0, 0.3], goals=[[0.05, -0.1, 0.04], [0, 0.1, 0.04], [0, -0.2, 0.08]]),
-}
-TARGETS = {2: 0, 3: 1}
-NINE = np.linspace(-1, 1, 9)
-
-
-@pytest.fixture(scope="module", params=[2, 3], ids=["2d", "3d"])
-def archive(request):
-    return lg.build_archive(
-        SCENES[request.param], TARGETS[request.param], cells=8, random_candidates=1024,
-        max_candidates=2048,
-    )  # fmt: skip
-
-
-def path_of(archive, legibility):
-    levels = np.asarray(legibility, dtype=float)
-    waypoints = paths_of(archive)[[archive.nearest(level) for level in np.atleast_1d(levels)]]
-    path = Path(
-        archive.scene, archive.target, levels, waypoints if levels.ndim else waypoints[0],
-        np.zeros(levels.shape, dtype=bool), archive.field, archive.alpha, archive.label,
-    )  # fmt: skip
-    path.__dict__["archive"] = archive
-    return path
+from legibility.figures.dial import dial_figure
 
 
 def dial(scenes=5, levels=7):
@@ -52,37 +27,6 @@ def dial(scenes=5, levels=7):
     return {"overall": overall, "levels": asked.tolist(), "plan_ms": 2.0, "scenes": rows}
 
 
-def assert_picture(file):
-    """The file is a picture with ink and colour, and none of it is cut off at the rim."""
-    with Image.open(file) as image:
-        pixels = np.asarray(image.convert("RGB")).astype(int)
-    assert min(pixels.shape[:2]) > 400
-    assert 0.02 < (pixels.min(-1) < 200).mean() < 0.6
-    assert (np.ptp(pixels, axis=-1) > 60).mean() > 0.001
-    for rim in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]):
-        assert (rim > 250).all()
-
-
-def assert_vector(file):
-    content = file.read_bytes()
-    assert content.startswith(b"%PDF" if file.suffix == ".pdf" else b"<?xml")
-    assert len(content) > 5000
-    assert content.rstrip().endswith(b"%%EOF" if file.suffix == ".pdf" else b"</svg>")
-
-
-@pytest.mark.parametrize("legibility", [NINE, 0.8, [0.0, 0.0], np.repeat(NINE, 4)],
-                         ids=["nine", "one", "twice", "many"])  # fmt: skip
-def test_plan(archive, legibility, tmp_path):
-    plan_figure(path_of(archive, legibility), tmp_path / "plan.png")
-    assert_picture(tmp_path / "plan.png")
-
-
-def test_archive(archive, tmp_path):
-    args = archive.scene, archive.target, archive.trajectories, archive.labels
-    archive_figure(*args, archive.labels.reshape(1, -1).astype(np.float32), tmp_path / "a.png")
-    assert_picture(tmp_path / "a.png")
-
-
 @pytest.mark.parametrize("scenes", [1, 5, 301])
 def test_dial(scenes, tmp_path):
     dial_figure(dial(scenes), tmp_path / "dial.png")
@@ -96,33 +40,28 @@ def test_dial_without_candidates(tmp_path):
     assert_picture(tmp_path / "dial.png")
 
 
-def drawings(archive):
-    return {
-        "plan": lambda file: plan_figure(path_of(archive, NINE), file),
-        "archive": lambda file: archive_figure(
-            archive.scene,
-            archive.target,
-            archive.trajectories,
-            archive.labels,
-            archive.labels,
-            file,
-        ),
-        "dial": lambda file: dial_figure(dial(), file),
-    }
-
-
-@pytest.mark.parametrize(("what", "suffix"), [("plan", ".pdf"), ("archive", ".svg")])
-def test_vector_formats(archive, what, suffix, tmp_path):
-    drawings(archive)[what](tmp_path / f"figure{suffix}")
-    assert_vector(tmp_path / f"figure{suffix}")
-
-
-@pytest.mark.parametrize("what", ["plan", "archive", "dial"])
 @pytest.mark.parametrize("name", ["figure.jpg", "figure", "figure.png.txt"])
-def test_other_suffixes_are_refused(archive, what, name, tmp_path):
+def test_other_suffixes_are_refused(name, tmp_path):
     with pytest.raises(OutputError, match=r"must end in \.png, \.pdf, \.svg"):
-        drawings(archive)[what](tmp_path / "new" / name)
+        dial_figure(dial(), tmp_path / "new" / name)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense"])
+def test_a_backend_that_is_not_installed(backend, tmp_path):
+    """A notebook sets its own for the shells that it opens."""
+    code = (
+        "import os\n"
+        "from legibility.figures.style import figure_file\n"
+        "with figure_file('f.png', 3, 2) as figure: figure.subplots()\n"
+        "print(os.environ['MPLBACKEND'])"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path,
+        env=os.environ | {"MPLBACKEND": backend},
+    )  # fmt: skip
+    assert (found.returncode, found.stdout, found.stderr) == (0, f"{backend}\n", "")
+    assert (tmp_path / "f.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("suffix", [".PNG", ".pdf", ".svg"])

@@ -8,36 +8,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from legibility.execution import Rollout
 from matplotlib import rcParams
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from pictures import SCENES, path_of, small_archive
 from PIL import Image
 
-import legibility as lg
-from legibility.data.dataset import paths_of
 from legibility.errors import InvalidInputError, OutputError
-from legibility.evaluation.statistics import clear_step
 from legibility.figures import film
-from legibility.figures.dial import goal_colors
 from legibility.figures.film import check_film, execution_figure, execution_film
-from legibility.motion.path import Path as Plan
+from legibility.figures.scene_axes import goal_colors
+from legibility.figures.style import STYLE
+from legibility.rollout import Rollout
 
-SCENES = {
-    2: lg.Scene(start=[0, 0.5], goals=[[0.8, 0.6], [1, 0.3]]),
-    3: lg.Scene(start=[-0.2, 0, 0.3], goals=[[0.05, -0.1, 0.04], [0, 0.1, 0.04], [0, -0.2, 0.08]]),
-}
 TARGET = 1
 
 
 @pytest.fixture(scope="module")
 def archives():
-    sizes = {"cells": 8, "random_candidates": 1024, "max_candidates": 2048}
-    return {
-        dim: lg.build_archive(scene, TARGET, sigma={2: 0.15, 3: 0.08}[dim], **sizes)
-        for dim, scene in SCENES.items()
-    }
+    return {dim: small_archive(dim, TARGET) for dim in SCENES}
 
 
 @pytest.fixture
@@ -47,10 +37,7 @@ def motions(archives):
     def build(*levels, dim=2, steps=12, reason="reached"):
         archive, found = archives[dim], []
         for number, level in enumerate(levels):
-            waypoints = paths_of(archive)[archive.nearest(level)]
-            path = Plan(archive.scene, TARGET, np.array(level), waypoints, np.False_,
-                        archive.field, archive.alpha, archive.label)  # fmt: skip
-            path.__dict__["archive"] = archive
+            path = path_of(archive, level)
             states = path.trajectory(steps + number + 1)
             actions = np.diff(states, axis=0)
             found.append(Rollout(path, states, actions, reason == "reached", reason, (),
@@ -132,21 +119,28 @@ class TestPicture:
         np.testing.assert_allclose(found, (expected[1:] + expected[:-1]) / 2)
         assert len(trail.get_segments()) == len(rollout.actions)
 
-    def test_says_when_the_intent_is_clear(self, motions, drawn):
+    def test_says_the_time_to_confidence(self, motions, drawn):
         rollouts = motions(-1, 1)
         early, late = rollouts[1], rollouts[0]
         never = Rollout(late.path, late.states[:3], late.actions[:2], False, "lost", (),
                         np.zeros(2), 0.05, 0)  # fmt: skip
-        start = Rollout(early.path, early.states[::-1], early.actions, True, "reached", (),
-                        early.deviation, 0.05, 0)  # fmt: skip
         _, panels = scenes_and_panels(drawn([late, early, never]))
-        steps = [clear_step(r.posterior, TARGET) for r in (late, early)]
-        assert 0 < steps[1] < steps[0]
-        expected = [f"clear after {0.05 * step:.2f} s" for step in steps] + ["never clear"]
+        times = [rollout.time_to_confidence for rollout in (late, early)]
+        assert 0 < times[1] < times[0]
+        expected = [f"confident after {time:.2f} s" for time in times] + ["never confident"]
         assert [panel.get_title() for panel in panels] == expected
-        there = Rollout(start.path, start.states[:2], start.actions[:1], True, "reached", (),
-                        start.deviation[:1], 0.05, 0)  # fmt: skip
-        assert drawn([there]).axes[0].get_title() == "clear from the start"
+        at_goal = Rollout(early.path, early.states[:-3:-1], early.actions[:1], True, "reached", (),
+                          early.deviation[:1], 0.05, 0)  # fmt: skip
+        assert at_goal.time_to_confidence == 0
+        assert drawn([at_goal]).axes[0].get_title() == "confident from the start"
+
+    def test_time_to_confidence(self, motions):
+        for rollout in motions(-1, -0.5, 0, 1):
+            held = rollout.posterior[:, TARGET] >= 0.8
+            step = round(rollout.time_to_confidence / rollout.step_seconds)
+            assert rollout.time_to_confidence == pytest.approx(step * rollout.step_seconds)
+            assert held[step:].all()
+            assert step == 0 or not held[step - 1]
 
     def test_says_what_went_wrong(self, motions, drawn):
         figure = drawn(motions(-0.5, reason="stalled"))
@@ -178,7 +172,7 @@ class TestFilm:
 
     def test_ends_as_the_picture_shows_it(self, motions, tmp_path, monkeypatch):
         monkeypatch.setitem(film._DPI, ".gif", 100)
-        monkeypatch.setitem(film.STYLE, "savefig.dpi", 100)
+        monkeypatch.setitem(STYLE, "savefig.dpi", 100)
         rollouts = motions(-1, 1)
         execution_film(rollouts, tmp_path / "f.gif")
         execution_figure(rollouts, tmp_path / "f.png")
@@ -198,8 +192,9 @@ class TestFilm:
 
     def test_three_dimensions(self, motions, tmp_path):
         rollouts = motions(-1, 1, dim=3)
-        execution_figure(rollouts, tmp_path / "f.png")
-        execution_film(rollouts, tmp_path / "f.gif")
+        with np.errstate(all="raise"):
+            execution_figure(rollouts, tmp_path / "f.png")
+            execution_film(rollouts, tmp_path / "f.gif")
         found = [(np.ptp(pixels, axis=-1) > 60).sum() for pixels, _ in frames(tmp_path / "f.gif")]
         assert found[-1] > found[0] + 100
 

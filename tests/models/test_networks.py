@@ -49,45 +49,6 @@ def values(output, inputs, layer):
     return [output, *torch.autograd.grad(loss, [*inputs, *layer.parameters()])]
 
 
-@pytest.mark.parametrize("length", [2, 8])
-def test_convolutions_as_matrix_products_are_those_of_pytorch(length):
-    torch.manual_seed(0)
-    net, x = FiLMUNet(6, 2, (8, 16), condition=5), torch.randn(3, length, 8, requires_grad=True)
-    (block, shrink), (grow, _) = net.down[0], net.up[0]
-    wide = torch.randn(3, length // 2, 16, requires_grad=True)
-    torch.nn.init.normal_(net.outlet.weight)
-    for layer, inputs in ((block.first, x), (shrink, x), (net.outlet, x), (grow, wide)):
-        kind = torch.nn.ConvTranspose1d if layer is grow else torch.nn.Conv1d
-        expected = kind.forward(layer, inputs.transpose(1, 2)).transpose(1, 2)
-        with torch.no_grad():
-            torch.testing.assert_close(layer(inputs), expected, atol=1e-5, rtol=1e-5)
-        found = values(layer(inputs), [inputs], layer)
-        torch.testing.assert_close(
-            found, values(expected, [inputs], layer), atol=1e-5, rtol=1e-5, check_stride=False
-        )
-
-
-@pytest.mark.parametrize("modulated", [False, True])
-@pytest.mark.parametrize("mean", [0.0, 30.0])
-def test_activation_in_training_is_that_of_pytorch(modulated, mean):
-    torch.manual_seed(0)
-    norm = FiLMUNet(6, 2, (16,), condition=5).middle[0].norms[0]
-    torch.nn.init.normal_(norm.weight)
-    torch.nn.init.normal_(norm.bias)
-    x = (torch.randn(3, 8, 16) + mean).requires_grad_()
-    scale, shift = torch.randn(2, 3, 1, 16, requires_grad=True).unbind()
-    modulation = (scale, shift) if modulated else None
-    h = torch.nn.functional.group_norm(x.transpose(1, 2), 8, norm.weight, norm.bias)
-    h = h.transpose(1, 2) * scale + shift if modulated else h.transpose(1, 2)
-    inputs = [x, *(modulation or ())]
-    expected = values(torch.nn.functional.silu(h), inputs, norm)
-    found = values(norm.activated(x, modulation), inputs, norm)
-    tolerance = 1e-5 if mean == 0 else 2e-3
-    torch.testing.assert_close(found, expected, atol=tolerance, rtol=tolerance)
-    with torch.no_grad():
-        torch.testing.assert_close(norm.activated(x, modulation), expected[0], atol=1e-5, rtol=1e-5)
-
-
 def test_a_batch_of_one_leaves_the_weights_alone():
     torch.manual_seed(0)
     net, x = FiLMUNet(6, 2, (16, 16, 16, 16), condition=5), torch.randn(1, 8, 6)
@@ -116,16 +77,6 @@ def test_unet_in_bfloat16_is_that_in_float32_to_its_rounding():
     assert (found[0] - expected[0]).norm() < 0.02 * expected[0].norm()
     one, other = (torch.cat([g.flatten() for g in each[1:]]) for each in (found, expected))
     assert (one - other).norm() < 0.02 * other.norm()
-
-
-def test_modulations_of_all_steps_at_once_are_those_of_each():
-    torch.manual_seed(0)
-    net, x, conditions = FiLMUNet(6, 2, (8, 16), 5), torch.randn(3, 8, 6), torch.randn(4, 3, 5)
-    torch.nn.init.normal_(net.outlet.weight)
-    together = net.modulations(conditions)
-    for i, condition in enumerate(conditions):
-        found = net.modulated(x, [(scale[i], shift[i]) for scale, shift in together])
-        torch.testing.assert_close(found, net(x, condition))
 
 
 @pytest.mark.parametrize("resolution", [8, 16, 32])

@@ -1,5 +1,6 @@
-"""What onnxruntime draws is what PyTorch draws."""
+"""The paths and actions of onnxruntime are those of PyTorch."""
 
+import dataclasses
 import pickle
 import sys
 
@@ -11,29 +12,28 @@ from hypothesis import strategies as st
 
 from legibility import Scene
 from legibility.envs.block_reach_2d import BlockReach2DVector
-from legibility.errors import InvalidInputError, MissingExtraError
+from legibility.errors import CheckpointError, InvalidInputError, MissingExtraError
+from legibility.models import onnx
 from legibility.models.configuration import PathDiffuserConfig, PathPolicyConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.path_policy import Observation, PathPolicy
-from legibility.models.pretrained import pretrained_names
+from legibility.models.pretrained import load_stages, pretrained_folder, pretrained_names
 from legibility.modulator import Modulator
 
 seeds = st.integers(0, 2**32 - 1)
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
 
 
-@pytest.fixture(autouse=True)
-def _installed(request):
-    if "missing" not in request.node.name:
-        reason = "the backend onnx is NOT TESTED: pip install 'legibility[onnx]'"
-        pytest.importorskip("onnx", reason=reason)
-        pytest.importorskip("onnxruntime", reason=reason)
+def runtime(*packages):
+    for package in packages or ("onnxruntime",):
+        pytest.importorskip(package, reason="the backend onnx is NOT TESTED: install it")
 
 
 @pytest.fixture(scope="module", params=pretrained_names())
 def pair(request):
-    """A shipped model as PyTorch runs it, and as onnxruntime does."""
-    pytest.importorskip("onnxruntime", reason="the backend onnx is NOT TESTED")
+    """A shipped model with the backends torch and onnx."""
+    runtime()
     return [Modulator.from_pretrained(request.param, backend=b) for b in ("torch", "onnx")]
 
 
@@ -49,94 +49,150 @@ def test_paths_are_the_same(pair, seed, goals, levels):
     scene = Scene.random(rng, dim=one.config.dim, num_goals=goals)
     target = int(rng.integers(goals))
     expected = one.plan(scene, target, levels, seed=seed).waypoints
-    found = two.plan(scene, target, levels, seed=seed).waypoints
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    actual = two.plan(scene, target, levels, seed=seed).waypoints
+    np.testing.assert_allclose(actual, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [1, 7, 16, 17, 150])
+def test_batches_and_scenes_of_any_number_are_the_same(pair, size):
+    dim, levels = pair[0].config.dim, np.linspace(-1, 1, size)
+    scenes = [Scene.random(np.random.default_rng(i), dim=dim) for i in range(size)]
+    one, two = (model.plan(scenes[0], 0, levels).waypoints for model in pair)
+    np.testing.assert_allclose(two, one, atol=1e-5)
+    ours, theirs = (model.plan_many(scenes, [0] * size, levels) for model in pair)
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(b.waypoints, a.waypoints, atol=1e-5)
+
+
+def test_only_the_models_own_steps_and_guidance_are_run(pair):
+    config, model = pair[1].config, pair[1]
+    scene = Scene.random(np.random.default_rng(1), dim=config.dim)
+    options = {"guidance": config.guidance, "steps": config.sampling_steps}
+    path = model.plan(scene, 0, 0.3, **options)
+    np.testing.assert_array_equal(path.waypoints, model.plan(scene, 0, 0.3).waypoints)
+    for name, own in options.items():
+        with pytest.raises(InvalidInputError, match=rf"{name}.* {own:g}"):
+            model.plan(scene, 0, 0.3, **{name: own + 1})
+
+
+def observed(model, size):
+    rng, dim = np.random.default_rng(0), model.config.dim
+    features = rng.normal(size=(size, model.observe.in_features)).astype(np.float32)
+    turn = np.linalg.qr(rng.normal(size=(size, dim, dim)))[0]
+    noise = torch.from_numpy(rng.normal(size=(size, model.config.chunk, dim)).astype(np.float32))
+    return Observation(features, turn, rng.random(size) < 0.5), noise
+
+
+@pytest.mark.parametrize("size", [1, 5, 100])
+def test_actions_are_the_same(pair, size):
+    policy = pair[0].path_policy
+    observation, noise = observed(policy, size)
+    actions = pair[1]._actor.act(observation, noise)
+    np.testing.assert_allclose(actions, policy.act(observation, noise), atol=1e-6)
+    with pytest.raises(InvalidInputError, match="steps"):
+        pair[1]._actor.act(observation, noise, policy.config.sampling_steps + 1)
 
 
 @pytest.mark.parametrize(
-    "options", [{"guidance": 0.0}, {"guidance": 1.0, "steps": 1}, {"steps": 5}]
+    "changes",
+    [
+        {"dim": 3, "channels": (8, 16, 16), "field": False, "sampling_steps": 1, "guidance": 0.0},
+        {"channels": (8,), "sampling_steps": 2, "guidance": 0.7},
+    ],
+    ids=str,
 )
-def test_guidance_and_steps_are_heeded(pair, options):
-    if pair[0].distilled:
-        pytest.skip("a student has no others than its own")
-    scene = Scene.random(np.random.default_rng(1), dim=pair[0].config.dim)
-    default, *paths = (
-        model.plan(scene, 0, [-1, 0.3, 1], **given).waypoints
-        for model, given in ((pair[1], {}), (pair[0], options), (pair[1], options))
-    )
-    np.testing.assert_allclose(paths[1], paths[0], atol=1e-5)
-    assert np.abs(paths[1] - default).max() > 1e-4
-
-
-def test_large_batches_and_many_scenes_are_the_same_whatever_the_threads(pair):
-    dim, levels = pair[0].config.dim, np.linspace(-1, 1, 150)
-    scenes = [Scene.random(np.random.default_rng(i), dim=dim) for i in range(150)]
-    threads = torch.get_num_threads()
-    try:
-        for number in (1, 2):
-            torch.set_num_threads(number)
-            one, two = (model.plan(scenes[0], 0, levels).waypoints for model in pair)
-            np.testing.assert_allclose(two, one, atol=1e-5)
-            ours, theirs = (model.plan_many(scenes, [0] * 150, levels) for model in pair)
-            for a, b in zip(ours, theirs, strict=True):
-                np.testing.assert_allclose(b.waypoints, a.waypoints, atol=1e-5)
-    finally:
-        torch.set_num_threads(threads)
-
-
-@pytest.mark.parametrize("field", [True, False])
-@pytest.mark.parametrize("channels", [(8,), (8, 16), (8, 16, 16), (8, 8, 16, 16)])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_networks_of_any_shape(dim, channels, field):
-    from legibility.models.onnx import OnnxPathDiffuser
-
+def test_a_path_diffuser_of_other_settings_is_exported(changes, tmp_path):
+    runtime("onnxruntime", "onnxscript")
     torch.manual_seed(0)
-    shape = {"condition": 16, "encoder_width": 8, "resolution": 16}
-    model = PathDiffuser(
-        PathDiffuserConfig(dim=dim, channels=channels, field=field, **shape)
-    ).eval()
-    torch.nn.init.normal_(model.unet.outlet.weight, std=0.3)
-    torch.nn.init.normal_(model.no_field)
-    torch.nn.init.normal_(model.no_level)
-    for block in model.unet.blocks():
-        for norm in block.norms:
-            torch.nn.init.normal_(norm.weight)
-            torch.nn.init.normal_(norm.bias)
+    model = PathDiffuser(PathDiffuserConfig(**{**TINY, **changes})).eval()
+    for parameter in model.parameters():
+        torch.nn.init.normal_(parameter, std=0.2)
     model.spread.uniform_(0.5, 2)
     model.signal.copy_(noise_schedule(100))
+    dim = model.config.dim
     scenes = [Scene.random(np.random.default_rng(i), dim=dim, num_goals=2 + i) for i in range(3)]
     conditions, level = model.conditions(scenes, [0, 1, 2]), torch.tensor([-1.0, 0.2, 1])
     noise = torch.randn(3, 8, dim)
     expected = model.sample(conditions, level, noise)
-    found = OnnxPathDiffuser(model).sample(conditions, level, noise)
-    torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+    graph = onnx.load_graph(model, tmp_path)
+    assert graph == (tmp_path / "path.onnx").read_bytes() == onnx.load_graph(model, tmp_path)
+    actual = onnx.OnnxPathDiffuser(model, graph).sample(conditions, level, noise)
+    torch.testing.assert_close(actual, expected, atol=1e-5, rtol=1e-5)
 
 
-@pytest.mark.parametrize("steps", [None, 1, 4])
-@pytest.mark.parametrize("size", [1, 100])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_actions_are_the_same(dim, size, steps):
-    from legibility.models.onnx import OnnxPathPolicy
+def test_a_policy_of_other_settings_is_exported_and_takes_any_weights():
+    runtime("onnxruntime", "onnxscript")
+    graph = None
+    for seed in range(2):
+        torch.manual_seed(seed)
+        model = PathPolicy(PathPolicyConfig(dim=3, chunk=4, channels=(8, 16), condition=16)).eval()
+        for parameter in model.parameters():
+            torch.nn.init.normal_(parameter, std=0.2)
+        model.signal.copy_(noise_schedule(100))
+        graph = graph or onnx.export_graph(model)
+        observation, noise = observed(model, 3)
+        actions = onnx.OnnxPathPolicy(model, graph).act(observation, noise)
+        np.testing.assert_allclose(actions, model.act(observation, noise), atol=1e-6)
 
-    torch.manual_seed(0)
-    model = PathPolicy(PathPolicyConfig(dim=dim, channels=(8, 16), condition=16)).eval()
-    torch.nn.init.normal_(model.unet.outlet.weight)
-    torch.nn.init.normal_(model.no_path)
-    model.scale.fill_(0.4)
-    model.signal.copy_(noise_schedule(100))
-    rng = np.random.default_rng(0)
-    features = rng.normal(size=(size, model.observe.in_features)).astype(np.float32)
-    turn = np.linalg.qr(rng.normal(size=(size, dim, dim)))[0]
-    observation = Observation(features, turn, rng.random(size) < 0.5)
-    noise = torch.randn(size, 8, dim)
-    np.testing.assert_allclose(
-        OnnxPathPolicy(model).act(observation, noise, steps),
-        model.act(observation, noise, steps),
-        atol=1e-6,
+
+class TestStoredGraph:
+    @pytest.fixture
+    def model(self):
+        return PathDiffuser(PathDiffuserConfig(**TINY))
+
+    @pytest.fixture
+    def exported(self, monkeypatch):
+        """Models that were exported, without the time that it takes."""
+        models = []
+
+        def export(model):
+            models.append(model)
+            return onnx._fingerprint(model).encode()
+
+        monkeypatch.setattr(onnx, "export_graph", export)
+        return models
+
+    @pytest.mark.parametrize("name", pretrained_names())
+    def test_fits_the_shipped_weights(self, name, exported):
+        folder = pretrained_folder(name)
+        for model in load_stages(folder)[0].values():
+            assert len(onnx.load_graph(model, folder)) < 500_000
+        assert exported == []
+
+    def test_is_exported_once(self, model, exported, tmp_path):
+        for _ in range(2):
+            onnx.load_graph(model, tmp_path)
+        assert exported == [model]
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [("guidance", 0.1), ("sampling_steps", 2), ("squash", 0.2), ("channels", (8, 8))],
     )
+    def test_of_other_settings_is_replaced(self, model, exported, tmp_path, name, value):
+        onnx.load_graph(model, tmp_path)
+        other = PathDiffuser(dataclasses.replace(model.config, **{name: value}))
+        onnx.load_graph(other, tmp_path)
+        assert exported == [model, other]
+
+    def test_in_a_folder_that_cannot_be_written_to_is_not_kept(self, model, exported, tmp_path):
+        (tmp_path / "file").touch()
+        for _ in range(2):
+            onnx.load_graph(model, tmp_path / "file")
+        assert exported == [model, model]
+
+    def test_is_corrupted(self, model):
+        runtime()
+        with pytest.raises(CheckpointError, match="graph"):
+            onnx.OnnxPathDiffuser(model, b"\0" * 99)
+
+    def test_without_the_exporter(self, model, tmp_path, monkeypatch):
+        monkeypatch.setitem(sys.modules, "onnxscript", None)
+        with pytest.raises(MissingExtraError, match=r"pip install 'legibility\[export\]'"):
+            onnx.load_graph(model, tmp_path)
 
 
 def test_executed_motions_are_the_same():
+    runtime()
     rollouts = []
     for backend in ("torch", "onnx"):
         env = BlockReach2DVector(3)
@@ -149,16 +205,17 @@ def test_executed_motions_are_the_same():
 
 
 def test_a_model_goes_to_another_process():
+    runtime()
     model = Modulator.from_pretrained("block-reach-2d", backend="onnx")
     other = pickle.loads(pickle.dumps(model))
     scene = Scene.random(np.random.default_rng(0))
-    expected, found = (m.plan(scene, 0, [-1, 0.3]).waypoints for m in (model, other))
-    np.testing.assert_array_equal(found, expected)
+    expected, actual = (m.plan(scene, 0, [-1, 0.3]).waypoints for m in (model, other))
+    np.testing.assert_array_equal(actual, expected)
     rollouts = []
-    for each in (model, other):
+    for modulator in (model, other):
         env = BlockReach2DVector(2)
         env.reset(seed=0)
-        rollouts.append(each.execute(env, legibility=[-1, 1], seed=0))
+        rollouts.append(modulator.execute(env, legibility=[-1, 1], seed=0))
     for one, two in zip(*rollouts, strict=True):
         np.testing.assert_array_equal(two.states, one.states)
 

@@ -233,7 +233,7 @@ class TestSample:
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
     def test_is_denoised_by_forward(self, dim, guidance):
-        """Drawn as it is learned: what is computed once for all steps is that of each step."""
+        """Sampling takes the steps of DDIM with the network that is trained."""
         model, level = make(dim), torch.tensor([-1.0, 0.3, 1])
         conditions = model.conditions(scenes(dim), [0, 0, 0])
         times, never = sampling_timesteps(100, 3), torch.zeros(3, dtype=torch.bool)
@@ -250,9 +250,9 @@ class TestSample:
         with torch.no_grad():
             expected = model.from_latent(ddim(velocity, noise(3, dim), model.signal, times))
         found = model.sample(conditions, level, noise(3, dim), guidance=guidance)
-        torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
-    def test_a_batch_that_is_drawn_in_parts(self, dim):
+    def test_a_large_batch_is_that_of_each_row(self, dim):
         model, level = make(dim), torch.linspace(-1, 1, 150)
         many = [Scene.random(np.random.default_rng(i), dim=dim) for i in range(150)]
         whole = model.conditions(many, [0] * 150)

@@ -390,7 +390,6 @@ class TestSettings:
             {"seed": -1},
             {"seed": 1.5},
             {"seed": "lucky"},
-            {"seed": None},
             {"random_candidates": 0},
             {"max_candidates": 10},
             {"patience": 0},

@@ -1,1 +1,1 @@
-"""What the modulator is compared with: other policies, and search without learning."""
+"""Rivals of the modulator: other policies, and search without learning."""

@@ -9,6 +9,7 @@ import torch
 
 from ..checks import Array
 from ..drivers import RobotStates
+from ..models.diffusion import standard_normal
 from ..models.goal_policy import GoalPolicy, goal_features, guidance_weights
 from ..scene import Scene
 
@@ -16,15 +17,15 @@ __all__ = ["GuidedPolicy"]
 
 
 class GuidedPolicy:
-    """A goal-conditioned policy that keeps away from what it would do for the other goals.
+    """A goal-conditioned policy, guided away from its own actions for the other goals.
 
     It follows no path. The guidance is that of the model's configuration: none for Diffusion
-    Policy; for Legibility Diffuser its weight falls by γ with every chunk that a robot executes.
+    Policy; for Legibility Diffuser its weight decays by γ with every chunk that a robot executes.
 
     Args:
         model: the policy.
-        scenes: of each of the `B` robots that it moves.
-        targets: `(B,)`, index of the goal that is meant in each.
+        scenes: the scene of each of `B` robots.
+        targets: `(B,)`, index of the intended goal of each.
         seed: of the actions drawn.
         steps: of the sampler; the model's own if not given.
     """
@@ -40,7 +41,7 @@ class GuidedPolicy:
         steps: int | None = None,
     ) -> None:
         self.model, self.steps = model, steps
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator("cpu").manual_seed(seed)
         self.workspaces = np.stack([scene.workspace for scene in scenes])
         most = max(scene.num_goals for scene in scenes) - 1
         self.others = np.zeros((len(scenes), most, scenes[0].dim))
@@ -67,10 +68,7 @@ class GuidedPolicy:
         weights = np.ones((len(rows), 1))
         if config.guidance:
             weights = guidance_weights(guidance, config.guidance_share, self.there[rows])
-        noise = torch.randn(
-            len(rows), config.chunk, config.dim, generator=self.generator,
-            dtype=torch.float32, device="cpu",
-        )  # fmt: skip
+        noise = standard_normal(len(rows), config.chunk, config.dim, generator=self.generator)
         return self.model.act(
             np.stack(features, axis=1), np.array([goal is not None for goal in known]), weights,
             noise, self.steps,

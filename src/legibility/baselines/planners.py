@@ -1,4 +1,4 @@
-"""Paths that need no learning: the straight line, the archive's own, and search in the scene."""
+"""Paths without learning: the straight line, the archive's trajectories, and random search."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ _REPEATS = 5
 
 
 def straight_path(scene: Scene, target: int, level: float, observer: Observer) -> Path:
-    """The most predictable path, whatever ℓ is asked."""
+    """The most predictable path, for any ℓ."""
     points = straight_waypoints(scene.start, scene.target(target))
     return Path.through(points, scene, target, np.asarray(level), observer)
 
 
+@np.errstate(under="ignore")
 def archive_path(archive: Archive, level: float) -> Path:
     """The archive's trajectory whose label is nearest to ℓ: at 1 its most legible one."""
     controls = archive.controls[[archive.nearest(level)]]
@@ -36,6 +37,7 @@ def archive_path(archive: Archive, level: float) -> Path:
     )  # fmt: skip
 
 
+@np.errstate(under="ignore")
 def search(
     scene: Scene,
     target: int,
@@ -44,14 +46,14 @@ def search(
     num_candidates: int,
     seed: int,
 ) -> Path:
-    """The nearest to ℓ of random cubic Béziers that are drawn for this very scene.
+    """The nearest to ℓ of random cubic Béziers in this scene.
 
-    They are drawn as the archive draws them, those that leave the workspace are dropped, and the
-    label is that among the rest, so nothing else is known of the scene.
+    They are drawn as the archive draws them. Those that leave the workspace are dropped, and the
+    rest are labelled by their rank among each other.
 
     Args:
         scene: any.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         level: ℓ in [−1, 1].
         observer: who scores and labels them.
         num_candidates: curves drawn.
@@ -73,7 +75,7 @@ def search(
 
 
 def candidates_within(milliseconds: float, scene: Scene, target: int, observer: Observer) -> int:
-    """How many curves `search` can draw in a time [ms], on the threads that it may use.
+    """The number of curves that `search` can draw in a time [ms].
 
     The largest power of √2 from 64 to 65,536 whose median time is not longer.
     """

@@ -27,19 +27,19 @@ _VERBS = {
     "train policy": "train stage 2, the path-guided policy",
     "train diffusion-policy": "train a baseline that knows the goal alone",
     "train legibility-diffuser": "train a baseline that is guided away from the other goals",
-    "evaluate dial": "measure achieved against asked legibility on scenes never seen",
-    "evaluate execution": "measure executed motions and what moves them on scenes never seen",
+    "evaluate dial": "measure achieved against asked legibility on held-out scenes",
+    "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
-    "evaluate unseen": "the same methods in scenes never seen, over each scene's oracle",
+    "evaluate unseen": "the same methods on held-out scenes, relative to each scene's oracle",
     "evaluate spectrum": "the paper's figure 3: motions over the whole dial and their cost",
-    "evaluate ablations": "measure what each part of stage 1 is worth, by small runs without it",
+    "evaluate ablations": "measure the worth of each part of stage 1 by small runs without it",
     "bench": "measure the speed of planning, control and training on this machine",
-    "report": "render measurements as tables, figures and model cards",
+    "report": "render results as a page with pictures, and as model cards",
     "doctor": "tell what is installed, what works here, and what to do about the rest",
 }
 _GROUPS = {
     "train": "make the weights of a model from a dataset",
-    "evaluate": "measure a model on scenes that training never drew",
+    "evaluate": "measure a model on held-out scenes",
 }
 _RESUMED = ("data", "train", "evaluate ablations")
 """Verbs that go on where they were interrupted."""
@@ -52,12 +52,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the command's own name; those of the process if not given.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and not stream.encoding.lower().startswith("utf"):
-            stream.reconfigure(errors="replace")  # ℓ and σ become question marks, not an error
     token = ARGUMENTS.set(given)
+    _prepare_process()
     try:
-        _run(given)
+        _run(list(map(_at_home, given)))
         sys.stdout.flush()
         return 0
     except BrokenPipeError:
@@ -75,6 +73,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"error: {error.filename or 'input/output'}: {error.strerror or error}", 2)
     finally:
         ARGUMENTS.reset(token)
+
+
+def _prepare_process() -> None:
+    """Make the process independent of the shell or notebook that started it."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by the shell (>&-)
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # characters that it cannot show become ?
+    if "MPLBACKEND" in os.environ:  # a notebook's, which may not be installed here
+        os.environ["MPLBACKEND"] = "agg"
+
+
+def _at_home(argument: str) -> str:
+    """An argument with the home folder for `~`, which no shell expands in `--json=~/file`."""
+    flag, equals, value = argument.rpartition("=") if argument[:2] == "--" else ("", "", argument)
+    return flag + equals + os.path.expanduser(value)
 
 
 def _fail(message: str, status: int) -> int:

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from ..bench import BenchConfig, run_bench
-from ..bench.tables import bench_tables
 from ..errors import InvalidInputError
+from ..report.bench import bench_section
 from .options import MODELS, OutputFile, flags, made
-from .output import check_file, model_record, progress_bar, show, table, write_report
+from .output import check_file, model_record, progress_bar, show, write_report
 
 _Bench = flags(BenchConfig)
 
@@ -39,10 +39,4 @@ def bench(
         result = run_bench(model, settings, progress=progress)
     config = {**asdict(settings), "weights": used}
     write_report(json, seed=None, config=config, model=used[0], result=result)
-    for title, head, rows, notes in bench_tables({"config": config, "result": result}):
-        shown = table(
-            title, *head, text_columns=sum("[" not in h and "second" not in h for h in head)
-        )
-        for row in rows:
-            shown.add_row(*row)
-        show(shown, *notes)
+    show(*bench_section({"config": config, "result": result}))

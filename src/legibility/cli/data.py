@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from rich.table import Table
 from tyro.conf import arg
 
 from ..data.configuration import DatasetConfig, DemonstrationsConfig
 from ..errors import InvalidInputError
 from ..intent.observer import Observer
+from ..report.table import Column, Table
 from .options import Folder, OutputFile, Workers, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
 
@@ -72,10 +72,10 @@ def data(
     else:
         content = Dataset.load(folder)
     config = content.config
-    if figure is not None:
-        _draw(content, figure)
     result = _describe(content, folder)
     write_report(json, seed=config.seed, config=config.to_dict(), result=result)
+    if figure is not None:
+        _draw(content, figure)
     show(*_tables(result, config, folder))
     if figure is not None:
         show(f"picture: {figure}")
@@ -102,7 +102,7 @@ def _make(
 
 
 def _draw(dataset: Dataset, figure: Path) -> None:
-    from ..figures.dial import archive_figure
+    from ..figures.archive import archive_figure
 
     config = dataset.config
     archive = config.source.archive(0, config.observer, config.cells)
@@ -152,7 +152,6 @@ def _demonstrated(folder: Path) -> dict[str, Any]:
 
 def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list[Table]:
     facts = table(f"dataset {folder}", "", "", text_columns=2)
-    facts.show_header = False
     for name, value in config.to_dict().items():
         shown = "..".join(map(str, value)) if isinstance(value, list) else str(value)
         facts.add_row(name, shown)
@@ -183,9 +182,7 @@ def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list
 
 
 def _bars(name: str, what: str, counts: dict[str, int]) -> Table:
-    rows = table("", name, what, "")
-    rows.title = None
-    rows.columns[-1].justify = "left"
+    rows = Table(name, what, Column("", left=True), text_columns=0)
     most = max(counts.values())
     for key, value in counts.items():
         rows.add_row(key, str(value), "█" * round(_BAR * value / most))

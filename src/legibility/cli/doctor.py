@@ -9,16 +9,14 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from textwrap import shorten
 from typing import Any
 
-from rich.table import Table
-from rich.text import Text
-
 from ..errors import LegibilityError
+from ..report.table import Table
 from .options import OutputFile
 from .output import check_file, progress_bar, show, table, write_report
 
@@ -27,14 +25,14 @@ _MINIMUM = "2d", "block-reach-2d"
 """The environment and the weights that must work."""
 
 _PATIENCE = 15.0
-"""How long drawing a picture in MuJoCo may take [s]."""
+"""Time limit of a picture in MuJoCo [s]."""
 
 _BACKENDS = {
     "egl": "apt-get install libegl1 libgl1",
     "osmesa": "apt-get install libosmesa6",
     "glfw": "needs a display; else apt-get install xvfb and call with xvfb-run",
 }
-"""What MuJoCo can draw with, by the value of MUJOCO_GL, and what helps on Debian and Ubuntu."""
+"""Remedies on Debian and Ubuntu for MuJoCo's renderers, by the value of MUJOCO_GL."""
 
 _DRAW = """
 import mujoco
@@ -48,10 +46,10 @@ with mujoco.Renderer(model, 32, 32) as renderer:
 
 
 def doctor(json: OutputFile = None) -> None:
-    """Tell what is installed, what works here, and what to do about the rest.
+    """Report the installation, whether each part works here, and remedies.
 
-    The exit status is 0 if the environment of the plane can be stepped and its weights be loaded,
-    whatever else is missing, and 2 otherwise.
+    The exit status is 0 if the 2-D environment can be stepped and its weights be loaded, whatever
+    else is missing, and 2 otherwise.
 
     Args:
         json: everything as JSON.
@@ -66,12 +64,15 @@ def doctor(json: OutputFile = None) -> None:
         "ffmpeg": lambda: shutil.which("ffmpeg"),
     }
     result: dict[str, Any] = {}
-    with _drawing() as pictures, progress_bar("checks") as progress:
+    # A renderer is chosen when MuJoCo is loaded, and a wrong one may end the process.
+    with ThreadPoolExecutor() as threads, progress_bar("checks") as progress:
+        backends = _backends()
+        errors = threads.map(_renderer_error, backends)
         for number, (name, check) in enumerate(checks.items()):
             progress(number, len(checks) + 1)
             result[name] = check()
         progress(len(checks), len(checks) + 1)
-        result["gl"] = pictures()
+        result["gl"] = dict(zip(backends, errors, strict=True))
     environment, weights = _MINIMUM
     broken = {
         f"the environment {environment}": _error_of(result["environments"], environment),
@@ -81,13 +82,13 @@ def doctor(json: OutputFile = None) -> None:
     write_report(json, seed=None, config={}, result=result)
 
     show(
-        _rows(_machine_rows(result), "this machine", "what", "found"),
-        _rows(_package_rows(result), "packages", "extra", "package", "version", "what to do"),
-        _rows(_working_rows(result), "what works", "what", "name", "found", "what to do"),
+        _rows(_machine_rows(result), "this machine", "part", "version"),
+        _rows(_package_rows(result), "packages", "extra", "package", "version", "remedy"),
+        _rows(_working_rows(result), "parts that work", "part", "name", "state", "remedy"),
     )
-    for what, error in broken.items():
+    for part, error in broken.items():
         if error:
-            raise LegibilityError(f"{what} does not work: {error}")
+            raise LegibilityError(f"{part} does not work: {error}")
     show("the core works")
 
 
@@ -106,45 +107,32 @@ def _system() -> dict[str, Any]:
 
 
 def _packages() -> dict[str, dict[str, dict[str, str | None]]]:
-    """By extra, `core` first, what each package needs and what is there."""
+    """By extra, `core` first: the version of each package wanted and installed, and the problem."""
     try:
+        from packaging.requirements import Requirement
+
         distribution = metadata.distribution("legibility")
-    except metadata.PackageNotFoundError:  # it runs from its sources
+    except ImportError:  # also of a distribution: it runs from its sources
         return {}
-    found: dict[str, dict[str, dict[str, str | None]]] = {_CORE: {}}
-    for extra in distribution.metadata.get_all("Provides-Extra") or []:
-        found[extra] = {}
-    for line in distribution.requires or []:
-        named = re.match(r"[\w.-]+", line)
-        extra = re.search(r"extra\s*==\s*['\"]([\w.-]+)['\"]", line)
-        if named:
-            group = found.setdefault(extra[1] if extra else _CORE, {})
-            group[named[0]] = _package(named[0], line)
-    return found
-
-
-def _package(name: str, requirement: str) -> dict[str, str | None]:
-    """The versions that are wanted and installed, and what is wrong with the latter."""
-    wanted = re.sub(r"^[\w.-]+(\[[^\]]*\])?\s*", "", requirement.partition(";")[0]).strip()
-    try:
-        version = metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return {"wanted": wanted, "version": None, "problem": "missing"}
-    return {"wanted": wanted, "version": version, "problem": _unfit(version, wanted)}
-
-
-def _unfit(version: str, wanted: str) -> str | None:
-    try:
-        from packaging.specifiers import SpecifierSet
-
-        fits = SpecifierSet(wanted).contains(version, prereleases=True)
-    except (ImportError, ValueError):  # not to be told
-        return None
-    return None if fits else f"{wanted} is wanted"
+    extras = distribution.metadata.get_all("Provides-Extra") or []
+    packages: dict[str, dict[str, dict[str, str | None]]] = {e: {} for e in (_CORE, *extras)}
+    for requirement in map(Requirement, distribution.requires or []):
+        extra = re.search(r"extra == \W([\w.-]+)", str(requirement.marker))
+        version = problem = None
+        try:
+            version = metadata.version(requirement.name)
+            if not requirement.specifier.contains(version, prereleases=True):
+                problem = f"{requirement.specifier} is wanted"
+        except metadata.PackageNotFoundError:
+            problem = "missing"
+        packages[extra[1] if extra else _CORE][requirement.name] = {
+            "wanted": str(requirement.specifier), "version": version, "problem": problem,
+        }  # fmt: skip
+    return packages
 
 
 def _torch() -> dict[str, Any]:
-    with _caught() as caught:
+    with _caught() as errors:
         import torch
 
         cuda = torch.cuda.is_available()
@@ -155,111 +143,92 @@ def _torch() -> dict[str, Any]:
             "device": torch.cuda.get_device_name() if cuda else None,
             "error": None,
         }
-    return {"error": caught[0]}
+    return {"error": errors[0]}
 
 
 def _weights() -> dict[str, dict[str, Any]]:
-    """By name, the sizes of the files [byte] and why they cannot be loaded."""
-    with _caught() as caught:
+    """By name: the sizes of the files [byte] and the error of loading them."""
+    with _caught() as errors:
         from ..models.pretrained import load_stages, pretrained_folder, pretrained_names
 
         names = [*pretrained_names(), *pretrained_names("goal")]
-    if caught:
-        return {_MINIMUM[1]: {"files": {}, "error": caught[0]}}
-    found: dict[str, dict[str, Any]] = {}
+    if errors:
+        return {_MINIMUM[1]: {"files": {}, "error": errors[0]}}
+    weights: dict[str, dict[str, Any]] = {}
     for name in names:
-        with _caught() as caught:
+        with _caught() as errors:
             load_stages(pretrained_folder(name))
-        sizes = {f.name: f.stat().st_size for f in pretrained_folder(name).glob("*.safetensors")}
-        found[name] = {"files": dict(sorted(sizes.items())), "error": next(iter(caught), None)}
-    return found
+        files = sorted(pretrained_folder(name).glob("*.safetensors"))
+        sizes = {file.name: file.stat().st_size for file in files}
+        weights[name] = {"files": sizes, "error": next(iter(errors), None)}
+    return weights
 
 
 def _environments() -> dict[str, dict[str, str | None]]:
-    """By name, the identifier for Gymnasium and why it cannot be made, reset and stepped."""
-    with _caught() as caught:
+    """By name: Gymnasium's identifier and the error of making, resetting and stepping it."""
+    with _caught() as errors:
         import gymnasium
 
         from ..envs import ENVIRONMENTS
-    if caught:
-        return {_MINIMUM[0]: {"id": None, "error": caught[0]}}
-    found: dict[str, dict[str, str | None]] = {}
+    if errors:
+        return {_MINIMUM[0]: {"id": None, "error": errors[0]}}
+    environments: dict[str, dict[str, str | None]] = {}
     for name, entry in ENVIRONMENTS.items():
         identifier = f"legibility/{entry.partition(':')[2]}-v0"
-        with _caught() as caught:
+        with _caught() as errors:
             env = gymnasium.make(identifier)
             env.reset(seed=0)
             env.step(env.action_space.sample())
             env.close()
-        found[name] = {"id": identifier, "error": next(iter(caught), None)}
-    return found
+        environments[name] = {"id": identifier, "error": next(iter(errors), None)}
+    return environments
 
 
-@contextlib.contextmanager
-def _drawing() -> Iterator[Callable[[], dict[str, str | None]]]:
-    """Let MuJoCo draw with each backend, in the meantime; what is yielded tells how that ended."""
+def _backends() -> list[str]:
+    """The values of MUJOCO_GL to try; none without MuJoCo."""
     try:
         metadata.version("mujoco")
     except metadata.PackageNotFoundError:
-        yield dict
-        return
-    # A backend is chosen when MuJoCo is loaded, and one that does not fit may end the process.
-    backends = [name for name in _BACKENDS if sys.platform == "linux" or name == "glfw"]
-    started, deadline = {}, time.monotonic() + _PATIENCE
-    for name in backends:
-        started[name] = subprocess.Popen(
+        return []
+    return [name for name in _BACKENDS if sys.platform == "linux" or name == "glfw"]
+
+
+def _renderer_error(backend: str) -> str | None:
+    """The error of a picture in MuJoCo with a renderer, drawn in a process of its own."""
+    try:
+        process = subprocess.run(
             [sys.executable, "-W", "ignore", "-c", _DRAW],
-            env={**os.environ, "MUJOCO_GL": name},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-        )
-
-    def outcome() -> dict[str, str | None]:
-        return {name: _error_line(process, deadline) for name, process in started.items()}
-
-    try:
-        yield outcome
-    finally:
-        for process in started.values():
-            process.kill()
-            process.communicate()
-
-
-def _error_line(process: subprocess.Popen[str], deadline: float) -> str | None:
-    try:
-        _, errors = process.communicate(timeout=max(0.0, deadline - time.monotonic()))
+            env={**os.environ, "MUJOCO_GL": backend}, stdin=subprocess.DEVNULL,
+            capture_output=True, text=True, errors="replace", timeout=_PATIENCE,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"no picture after {_PATIENCE:g} s"
     if process.returncode == 0:
         return None
-    lines = [line.strip() for line in errors.splitlines() if line.strip()]
+    lines = [line.strip() for line in process.stderr.splitlines() if line.strip()]
     return lines[-1] if lines else f"MuJoCo ended with status {process.returncode}"
 
 
 @contextlib.contextmanager
 def _caught() -> Iterator[list[str]]:
-    """What is yielded gets the error of what is done within, as a line; a doctor never fails."""
+    """Yield a list that receives the error of the body as one line; a doctor never fails."""
     errors: list[str] = []
     try:
         yield errors
     except Exception as error:
-        text = (
-            str(error) if isinstance(error, LegibilityError) else f"{type(error).__name__}: {error}"
-        )
-        errors.append(" ".join(text.split()) or type(error).__name__)
+        known = isinstance(error, LegibilityError)
+        text = " ".join(f"{error}".split())
+        errors.append(text if known and text else f"{type(error).__name__}: {text}".rstrip(": "))
 
 
-def _error_of(found: dict[str, dict[str, Any]], name: str) -> str | None:
-    return found[name]["error"] if name in found else "missing"
+def _error_of(parts: dict[str, dict[str, Any]], name: str) -> str | None:
+    return parts[name]["error"] if name in parts else "missing"
 
 
 def _rows(rows: Iterator[tuple[str, ...]], title: str, *columns: str) -> Table:
     result = table(title, *columns, text_columns=len(columns))
     for row in rows:
-        result.add_row(*map(Text, row))  # text, for [extra] is markup to rich
+        result.add_row(*row)
     return result
 
 

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from ..errors import CheckpointError, OutputError
 from ..files import file_hash, write_json
+from ..report.table import Table, number, significant
 
 __all__ = [
     "ARGUMENTS",
@@ -44,6 +44,10 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
 _PATIENCE = 2.0
 """Work shorter than this [s] shows no progress bar."""
+
+_LEAST_INTERVAL, _MOST_INTERVAL = 5.0, 30.0
+"""Off a terminal a line of progress is printed after a tenth of the work and this least time [s],
+and after the other at the latest."""
 
 
 def check_file(path: Path | None, what: str) -> None:
@@ -129,35 +133,16 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def number(value: float, digits: int = 3) -> str:
-    """`value` with a fixed number of decimals, without a minus before zero."""
-    text = f"{value:.{digits}f}"
-    return text.lstrip("-") if float(text) == 0 else text
-
-
-def significant(value: float) -> str:
-    """`number`, but with three significant digits where decimals would not show them.
-
-    A time that is never reached is infinite.
-    """
-    if not math.isfinite(value):
-        return "never" if value > 0 else "–"
-    return f"{value:.3g}" if 0 < abs(value) < 0.1 else number(value)
-
-
 def table(title: str, *columns: str, text_columns: int = 0) -> Table:
     """An empty table, its first `text_columns` columns aligned left and the others right."""
-    result = Table(title=Text(title), title_justify="left")
-    for index, name in enumerate(columns):
-        result.add_column(Text(name), justify="left" if index < text_columns else "right")
-    return result
+    return Table(*columns, title=title, text_columns=text_columns)
 
 
 def show(*items: Table | str) -> None:
     """Print tables and lines to the standard output, as text and not as markup."""
     console = _console(sys.stdout)
     for item in items:
-        console.print(Text(item) if isinstance(item, str) else item)
+        console.print(Text(item) if isinstance(item, str) else item.rich())
 
 
 def note(line: str) -> None:
@@ -179,11 +164,26 @@ def _console(file: Any) -> Console:
     )
 
 
+class _ProgressLines:
+    """Progress for a log file or a pipe: a line now and then, and none of quick work."""
+
+    def __init__(self, title: str) -> None:
+        self.title, self.tenths, self.time = title, 0, time.monotonic()
+
+    def update(self, done: int, total: int) -> None:
+        """Print a line if enough was done, or enough time has passed, since the last one."""
+        tenths, waited = 10 * done // max(total, 1), time.monotonic() - self.time
+        if waited > (_LEAST_INTERVAL if tenths != self.tenths else _MOST_INTERVAL):
+            note(f"{self.title} {done} of {total}")
+            self.tenths, self.time = tenths, time.monotonic()
+
+
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     """Yield `progress(done, total, line="")`, which draws a bar once the work takes a while.
 
-    Only on a terminal; `line` is a message that stays, above the bar or in a log file.
+    Off a terminal it prints a line after every tenth of the work or 30 s instead. `line` is a
+    message that stays, above the bar or in a log file.
     """
     from rich.progress import (
         BarColumn,
@@ -196,6 +196,7 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
 
     console = _console(sys.stderr)
     started = time.monotonic()
+    lines = _ProgressLines(title)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     bar = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
     task = bar.add_task(title, total=None)
@@ -207,6 +208,8 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
             bar.start()
         if done >= total and bar.live.is_started:
             bar.stop()  # another one may follow
+        if not console.is_terminal:
+            lines.update(done, total)
         if line:
             bar.console.print(Text(line))
 

@@ -40,16 +40,16 @@ def score(
 ) -> None:
     """Rate trajectories by every metric; no model is needed.
 
-    The CSV file has a header and a row a point: columns x, y and in 3D z [m]. If wanted, a column
-    named trajectory, a name or number, tells several apart, and a column t or time [s], which must
-    rise within a trajectory, lets it be read at equal time steps; without it the points are taken
-    to be so. No point may lie outside the scene's workspace. The achieved label is read off the
-    scene's archive.
+    The CSV file has a header and a row a point: columns x, y and in 3-D z [m]. A column named
+    trajectory, a name or number, tells several apart; with a column t or time, which must rise
+    within a trajectory, it is read at equal time steps, else the points are taken to be so. Other
+    columns are left out. No point may lie outside the scene's workspace. The achieved label is read
+    off the scene's archive.
 
     Args:
         trajectories: a CSV file.
         scene: a scene file, .yaml or .json.
-        target: index of the goal that is meant, from 0.
+        target: index of the intended goal, from 0.
         sigma: the observer's σ [m]; 0.15 in 2D and 0.08 in 3D if not given.
         alpha: decay of the score's weight over progress.
         beta: rationality [1/m] of Dragan's observer.

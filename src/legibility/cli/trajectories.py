@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,13 +15,35 @@ import numpy as np
 from ..checks import Array
 from ..errors import InvalidInputError
 from ..files import read_text, write_bytes
-from ..scene import Scene
+from ..scene import START_OVERSHOOT, Scene
+from .output import note
 
 __all__ = ["read_trajectories", "write_trajectories"]
 
 _AXES = ("x", "y", "z")
 _TIMES = ("t", "time")
 _NAME = "trajectory"
+_KNOWN = (*_AXES, *_TIMES, _NAME)
+_SEPARATORS = (",", ";", "\t", " ")
+_METRES = ("m", "metre", "metres", "meter", "meters")
+_UNIT = re.compile(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]")
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The line that names the columns.
+
+    Attributes:
+        line: its number, from 1.
+        names: of all columns, without units, in lower case.
+        units: of the columns that name one.
+        separator: between the cells.
+    """
+
+    line: int
+    names: list[str]
+    units: dict[str, str]
+    separator: str
 
 
 @dataclass
@@ -36,12 +59,16 @@ def read_trajectories(file: str | Path, scene: Scene) -> dict[str, Array]:
     """The trajectories `(T, D)` [m] of a CSV file by their names, in the order of the file.
 
     Points with a time are read at equal time steps, linear between the given ones; points without
-    are taken to be at equal time steps.
+    are taken to be at equal time steps. Other columns are left out, which a note on the standard
+    error says.
 
     Args:
-        file: a header with the columns x, y and in 3D z [m]; if wanted `trajectory`, a name or
-            number that tells several trajectories apart, and `t` or `time` [s], which must rise.
-        scene: gives the dimension and the workspace, which no point may leave.
+        file: separated by commas, semicolons, tabs or blanks, with a header that names the columns
+            x, y and in 3-D z [m]; if wanted `trajectory`, a name or number that tells several
+            trajectories apart, and `t` or `time`, which must rise. Capitals, blanks, a `#` or `%`
+            before the header and a unit behind a name (`x [m]`) are read over.
+        scene: gives the dimension and the workspace, beyond which a point may be only as far as a
+            robot (`START_OVERSHOOT`).
 
     Raises:
         InvalidInputError: anything else, naming the line.
@@ -50,26 +77,29 @@ def read_trajectories(file: str | Path, scene: Scene) -> dict[str, Array]:
     def fail(line: int, message: str) -> InvalidInputError:
         return InvalidInputError(f"{file}, line {line}: {message}")
 
-    reader = csv.reader(io.StringIO(read_text(file, "trajectory file"), newline=""), strict=True)
-    found: dict[str, _Rows] = {}
+    lines = list(io.StringIO(read_text(file, "trajectory file"), newline=""))
+    header = _header(lines)
+    if header is None:
+        raise InvalidInputError(f"{file} is empty: a header such as x,y is needed")
+    axes, time = _columns(header, scene, lambda message: fail(header.line, message))
+    overshoot = START_OVERSHOOT * scene.diagonal
+    reader = csv.reader(lines[header.line :], delimiter=header.separator, strict=True,
+                        skipinitialspace=True)  # fmt: skip
+    trajectories: dict[str, _Rows] = {}
     try:
-        header = [cell.strip().lower() for cell in next(reader, [])]
-        if not any(header):
-            raise InvalidInputError(f"{file} is empty: a header such as x,y is needed")
-        axes, time = _columns(header, scene, lambda message: fail(1, message))
         for cells in reader:
-            line = reader.line_num
+            line = header.line + reader.line_num
             if not any(cell.strip() for cell in cells):
                 continue
-            if len(cells) != len(header):
-                raise fail(line, f"{len(cells)} cells, the header has {len(header)}")
-            row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
+            if len(cells) != len(header.names):
+                raise fail(line, f"{len(cells)} cells, the header has {len(header.names)}")
+            row = dict(zip(header.names, (cell.strip() for cell in cells), strict=True))
             name = row.get(_NAME, "1")
             if not name:
                 raise fail(line, "the trajectory has no name")
-            rows = found.setdefault(name, _Rows(line))
+            rows = trajectories.setdefault(name, _Rows(line))
             point = [_number(row[axis], axis, line, fail) for axis in axes]
-            if not scene.contains(point, 1e-6):
+            if not scene.contains(point, overshoot):
                 raise fail(line, f"{point} lies outside the workspace {scene.workspace.tolist()}")
             rows.points.append(point)
             if time is not None:
@@ -77,13 +107,16 @@ def read_trajectories(file: str | Path, scene: Scene) -> dict[str, Array]:
                 if len(rows.times) > 1 and rows.times[-1] <= rows.times[-2]:
                     raise fail(line, f"{time} must rise, got {row[time]}")
     except csv.Error as cause:
-        raise fail(reader.line_num, str(cause)) from cause
-    if not found:
+        raise fail(header.line + reader.line_num, str(cause)) from cause
+    if not trajectories:
         raise InvalidInputError(f"{file} has a header but no points")
-    for name, rows in found.items():
+    for name, rows in trajectories.items():
         if len(rows.points) < 2:
             raise fail(rows.first_line, f"trajectory {name!r} must have at least 2 points, got 1")
-    return {name: _at_equal_times(rows) for name, rows in found.items()}
+    left_out = [name or "without a name" for name in header.names if name not in _KNOWN]
+    if left_out:
+        note(f"{file}: columns left out: {', '.join(left_out)}")
+    return {name: _at_equal_times(rows) for name, rows in trajectories.items()}
 
 
 def write_trajectories(file: str | Path, names: Sequence[str], trajectories: Array) -> None:
@@ -99,25 +132,63 @@ def write_trajectories(file: str | Path, names: Sequence[str], trajectories: Arr
     write_bytes(file, text.getvalue().encode())
 
 
+def _header(lines: Sequence[str]) -> _Header | None:
+    """The first line that is not blank; comments before it that name no column are read over.
+
+    It is separated by whatever makes most of its cells columns that are known.
+    """
+    first = None
+    for number, line in enumerate(lines, start=1):
+        text = line.rstrip("\r\n")
+        if not text.strip():
+            continue
+        if is_comment := text.lstrip().startswith(("#", "%")):
+            text = text.lstrip().lstrip("#%")
+        options = [_split(number, text, separator) for separator in _SEPARATORS]
+        header = max(options, key=lambda option: sum(name in _KNOWN for name in option.names))
+        first = first or header
+        if not is_comment or any(name in _AXES for name in header.names):
+            return header
+    return first
+
+
+def _split(line: int, text: str, separator: str) -> _Header:
+    names, units = [], {}
+    for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True), []):
+        name = cell.strip().lower()
+        if with_unit := _UNIT.fullmatch(name):
+            name = with_unit[1]
+            units[name] = with_unit[2]
+        names.append(name)
+    return _Header(line, names, units, separator)
+
+
 def _columns(
-    header: list[str], scene: Scene, fail: Callable[[str], InvalidInputError]
+    header: _Header, scene: Scene, fail: Callable[[str], InvalidInputError]
 ) -> tuple[tuple[str, ...], str | None]:
     """The names of the axes' columns and of the time's, if any."""
-    axes = _AXES[: scene.dim]
-    known = {*_AXES, *_TIMES, _NAME}
-    unknown = [name for name in header if name not in known]
-    if unknown:
-        raise fail(
-            f"unknown column {unknown[0]!r}; the columns are {', '.join(axes)}, trajectory, t"
-        )
-    missing = [axis for axis in axes if axis not in header]
-    if missing or ("z" in header and scene.dim == 2):
-        given = ", ".join(name for name in header if name in _AXES) or "none of them"
-        raise fail(f"the scene is {scene.dim}D: columns {', '.join(axes)} are needed, got {given}")
-    times = [name for name in header if name in _TIMES]
-    if len(set(header)) < len(header) or len(times) > 1:
-        raise fail(f"a column is there twice: {', '.join(header)}")
+    axes, names = _AXES[: scene.dim], header.names
+    if all(map(_is_number, re.split(r"[,;\s]+", " ".join(names).strip()))):
+        raise fail(f"there is no header: the first line must name the columns, as {','.join(axes)}")
+    missing = [axis for axis in axes if axis not in names]
+    if missing or ("z" in names and scene.dim == 2):
+        shown = ", ".join(name or "a column without a name" for name in names)
+        raise fail(f"the scene is {scene.dim}D: columns {', '.join(axes)} are needed, got {shown}")
+    times = [name for name in names if name in _TIMES]
+    if len(times) > 1 or any(names.count(name) > 1 for name in _KNOWN):
+        raise fail(f"a column is there twice: {', '.join(names)}")
+    for axis in axes:
+        if header.units.get(axis, "m") not in _METRES:
+            raise fail(f"{axis} must be in metres, got {axis} [{header.units[axis]}]")
     return axes, next(iter(times), None)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _number(
@@ -126,7 +197,8 @@ def _number(
     try:
         value = float(text)
     except ValueError:
-        raise fail(line, f"{column} must be a number, got {text!r}") from None
+        hint = "; write a decimal point" if "," in text else ""
+        raise fail(line, f"{column} must be a number, got {text!r}{hint}") from None
     if not math.isfinite(value):
         raise fail(line, f"{column} must be finite, got {text}")
     return value

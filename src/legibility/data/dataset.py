@@ -18,6 +18,7 @@ import pyarrow as pa
 from ..checks import Array, count
 from ..curves import NUM_WAYPOINTS, arc_length, path_curve
 from ..errors import DatasetError, InvalidInputError
+from ..files import at_home
 from ..intent.metrics import SCORE_POINTS
 from ..motion.archive import Archive
 from ..motion.bezier import bezier_trajectories
@@ -43,6 +44,7 @@ def paths_of(archive: Archive) -> Array:
     return bezier_trajectories(archive.controls, NUM_WAYPOINTS + 2)
 
 
+@np.errstate(under="ignore")
 def select(
     archive: Archive, num: int, efficiency: float, rng: np.random.Generator
 ) -> dict[str, Array]:
@@ -107,6 +109,7 @@ def shard_names(config: DatasetConfig) -> list[str]:
     return [f"{config.stream}-{i:05d}.parquet" for i in range(-(-config.scenes // SHARD))]
 
 
+@np.errstate(under="ignore")
 def _shard(config: DatasetConfig, scenes: range) -> bytes:
     return shard_bytes([_row(config, i) for i in scenes], config.to_dict())
 
@@ -134,7 +137,7 @@ def generate(
         OutputError: the folder cannot be written.
         WorkerError: there are no workers, or they die again and again.
     """
-    folder = Path(folder)
+    folder = at_home(folder)
 
     def scenes(number: int) -> range:
         return range(number * SHARD, min((number + 1) * SHARD, config.scenes))
@@ -181,7 +184,7 @@ class Dataset:
         Raises:
             DatasetError: it is missing, incomplete or changed since it was written.
         """
-        content, digest, table = read_shards(Path(folder), _MANIFEST, "legibility data")
+        content, digest, table = read_shards(at_home(folder), _MANIFEST, "legibility data")
         try:
             config = DatasetConfig.from_dict(content)
             if table.num_rows != config.scenes:

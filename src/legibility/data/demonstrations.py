@@ -149,6 +149,7 @@ def demonstrate(
     return Demonstrations.load(folder)
 
 
+@np.errstate(under="ignore")
 def _shard(
     source: DatasetConfig,
     config: DemonstrationsConfig,

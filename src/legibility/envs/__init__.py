@@ -27,10 +27,10 @@ ENVIRONMENTS = {
     "panda": "panda:PandaBlockReach",
     "pandagym": "pandagym:PandaGymBlockReach",
 }
-"""By the name that commands know it by, the class of one robot; that of many ends in `Vector`."""
+"""Class of one robot by the environment's name in commands; that of a vector ends in `Vector`."""
 
 DEFAULT_ENVIRONMENT = {2: "2d", 3: "panda"}
-"""Where a model of a dimension is trained, and executed if nothing else is said."""
+"""Default environment of a model, by dimension."""
 
 for _entry in ENVIRONMENTS.values():
     gymnasium.register(
@@ -42,7 +42,7 @@ for _entry in ENVIRONMENTS.values():
 
 
 def environment_dim(name: str) -> int:
-    """D of one of `ENVIRONMENTS`; it loads none of them.
+    """D of one of `ENVIRONMENTS`, without loading it.
 
     Raises:
         InvalidInputError: there is no such environment.
@@ -53,19 +53,20 @@ def environment_dim(name: str) -> int:
 
 
 def vector_type(name: str | None, dim: int) -> type[BlockReachVector]:
-    """The class of many robots of an environment.
+    """The vector class of an environment.
 
     Args:
-        name: one of `ENVIRONMENTS`; the default of the dimension if not given.
+        name: one of `ENVIRONMENTS`; by default that of the dimension.
         dim: D of the model or the scenes, which must be the environment's.
 
     Raises:
-        InvalidInputError: there is no such environment, or it is of another dimension.
-        MissingExtraError: what it needs is not installed.
+        InvalidInputError: there is no such environment, or it has another dimension.
+        MissingExtraError: its simulator is not installed.
     """
     name = DEFAULT_ENVIRONMENT[dim] if name is None else name
-    own = environment_dim(name)
-    if own != dim:
-        raise InvalidInputError(f"the environment {name} is {own}-D, what is asked {dim}-D")
-    module, _, kind = ENVIRONMENTS[name].partition(":")
-    return getattr(importlib.import_module(f".{module}", __name__), f"{kind}Vector")
+    if environment_dim(name) != dim:
+        raise InvalidInputError(
+            f"the environment {name} is {environment_dim(name)}-D, the model or scene {dim}-D"
+        )
+    module, _, single = ENVIRONMENTS[name].partition(":")
+    return getattr(importlib.import_module(f".{module}", __name__), f"{single}Vector")

@@ -1,4 +1,4 @@
-"""What the Franka Panda is in both simulators: its limits, its task space, what is counted."""
+"""The Franka Panda in both simulators: its limits, its task space and the events counted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VELOCITY_LIMITS = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
 """Greatest speed of each joint, `(7,)` [rad/s] (Franka's documentation)."""
 
 HOME = np.array([0.0, 0.41, 0.0, -1.85, 0.0, 2.26, 0.79])
-"""Angles `(7,)` [rad] from which postures are found: the gripper down over the table."""
+"""Angles `(7,)` [rad] at which inverse kinematics start: the gripper down over the table."""
 
 BLOCK = 0.04
 """Edge of a block [m]."""
@@ -33,7 +33,7 @@ BASE = np.array([-0.6, 0.0, 0.0])
 
 
 class ArmVector(BlockReachVector):
-    """Many arms at once, a simulation each. A subclass moves them: `_place` and `_drive`.
+    """Many arms, each in its own simulation. A subclass moves them: `_place` and `_drive`.
 
     The position is that of the grasp point between the fingertips; the gripper points down.
     """
@@ -41,22 +41,21 @@ class ArmVector(BlockReachVector):
     metadata = {**BlockReachVector.metadata, "render_fps": 25}  # noqa: RUF012
     dim = 3
     max_displacement = 0.02
-    lag_range = (0.0, 0.3)
     counted = (
         "table_contacts", "self_collisions", "joint_limit_violations", "velocity_limit_violations",
     )  # fmt: skip
     overshoot = 0.05
     substeps: ClassVar[int] = 20
-    """Steps of the physics in a control step: 2 ms each."""
+    """Physics steps in a control step, 2 ms each."""
 
     @abstractmethod
     def _drive(self, indices: NDArray, targets: Array) -> Array:
-        """Arms `indices (N,)` are told to go to `targets (N, D)` [m].
+        """Send arms `indices (N,)` to `targets (N, D)` [m] for one control step.
 
-        Adds to `counts` the physics steps of this control step in which each occurred.
+        Adds to `counts` the physics steps in which each event occurred.
 
         Returns:
-            Where they are after the control step, `(N, D)` [m].
+            Positions after the control step, `(N, D)` [m].
         """
 
     def _move(self, command: Array, noise: Array, alive: NDArray) -> tuple[Array, NDArray]:

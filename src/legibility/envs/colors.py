@@ -1,4 +1,4 @@
-"""The colours that figures and environments share; the colour-blind can tell them apart."""
+"""Colours of figures and environments, chosen for colour-blind readers too."""
 
 __all__ = ["GOALS", "INK", "MUTED"]
 

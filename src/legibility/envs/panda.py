@@ -2,71 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Array, bounded
+from ..checks import Array
 from .arm import JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
-from .block_reach import BlockReach
 from .panda_model import JOINT_MARGIN, Kinematics, Simulation
+from .single import BlockReach
 
 __all__ = ["PandaBlockReach", "PandaBlockReachVector"]
 
 _SPEED_SHARE = 0.9
-"""How much of the joints' greatest speeds the reference may use."""
+"""Share of the joints' greatest speeds that the reference may use."""
 
 _AHEAD = 0.01
-"""How far the reference may be ahead of a joint: what that goes at its greatest speed in [s]."""
+"""Most that the reference may lead a joint, as time at the joint's greatest speed [s]."""
 
 _SEGMENT = 4
-"""Physics steps between two looks at where the joints are."""
+"""Physics steps between two readings of the joints."""
 
 
 class PandaBlockReachVector(ArmVector):
-    """Many `PandaBlockReach` at once; see there, and `BlockReachVector` for how they are stepped.
+    """Many `PandaBlockReach`; `BlockReachVector` describes how they are stepped.
 
-    All share one model. MuJoCo runs the physics steps of all arms in one call, and whatever is
-    counted is looked for in each of these steps.
+    All share one model. One call of MuJoCo runs the physics steps of all arms, and events are
+    counted in each of these steps.
     """
 
-    robot_options = ("response", "delay")
-    response_range = (0.012, 0.025)
-    delay_range = (0.0, 0.008)
+    drawn = {"response": (0.012, 0.025), "delay": (0.0, 0.008)}  # noqa: RUF012
 
     def __init__(self, num_envs: int = 1, **settings: Any) -> None:
         super().__init__(num_envs, **settings)
         self._kinematics, self._simulation = Kinematics(), Simulation()
         self._angles, self._speeds, self._command, self._reference = np.zeros((4, num_envs, 7))
-        self._response, self._delay = np.ones((2, num_envs))
 
     @property
     def joint_angles(self) -> Array:
         """`(B, 7)` [rad]."""
         return self._angles.copy()
-
-    @property
-    def responses(self) -> Array:
-        """`(B,)`, the hidden time constants [s]; for analyses."""
-        return self._response.copy()
-
-    @property
-    def delays(self) -> Array:
-        """`(B,)`, the hidden delays [s]; for analyses."""
-        return self._delay.copy()
-
-    def _draw_robot(self, rng: np.random.Generator, options: Mapping[str, Any]) -> dict[str, Any]:
-        ranges = {"response": self.response_range, "delay": self.delay_range}
-        drawn = {name: rng.uniform(*limits) for name, limits in ranges.items()}
-        return {
-            name: bounded(name, options.get(name, drawn[name]), *limits)
-            for name, limits in ranges.items()
-        }
-
-    def _begin(self, index: int, robot: dict[str, Any]) -> None:
-        self._response[index], self._delay[index] = robot["response"], robot["delay"]
 
     def _place(self, index: int, position: Array) -> Array:
         angles = self._kinematics.solve(position)
@@ -85,7 +60,11 @@ class PandaBlockReachVector(ArmVector):
             )
             self._reference[indices] = reference[:, -1]
             self._angles[indices], self._speeds[indices] = angles[:, -1], speeds[:, -1]
-            self._count(indices, angles, speeds, touched)
+            beyond = ((angles < JOINT_LIMITS[0]) | (angles > JOINT_LIMITS[1])).any(axis=-1)
+            fast = (np.abs(speeds) > VELOCITY_LIMITS).any(axis=-1)
+            events = touched[..., 0], touched[..., 1], beyond, fast
+            for name, occurred in zip(self.counted, events, strict=True):
+                self.counts[name][indices] += occurred.sum(axis=1)
         self._command[indices] = wanted
         return np.array([self._kinematics.grasp_point(angles) for angles in self._angles[indices]])
 
@@ -93,15 +72,15 @@ class PandaBlockReachVector(ArmVector):
         """The joints' reference in the segment that begins with physics step `first`.
 
         It follows the old command until the delay is over, then the new one, `wanted (N, 7)`
-        [rad]. It waits for joints that cannot keep up: one far behind would be pulled too fast.
+        [rad]. It waits for joints that cannot keep up: a large lead would pull them too fast.
 
         Returns:
-            `(N, segment + 1, 7)` [rad], the last of it for when the segment is over.
+            `(N, segment + 1, 7)` [rad]; the last row is the state at the end of the segment.
         """
         period = 1 / self.metadata["render_fps"] / self.substeps
         time = np.arange(_SEGMENT + 1) * period
-        delay = np.maximum(self._delay[indices, None] - first * period, 0)
-        angles, response = self._angles[indices], self._response[indices, None]
+        delay = np.maximum(self.hidden["delay"][indices, None] - first * period, 0)
+        angles, response = self._angles[indices], self.hidden["response"][indices, None]
         old, lead = self._command[indices], self._reference[indices] - angles
         excess = (np.abs(lead) / (_AHEAD * VELOCITY_LIMITS)).max(axis=1, keepdims=True)
         start = angles + lead / np.maximum(excess, 1)
@@ -110,14 +89,6 @@ class PandaBlockReachVector(ArmVector):
         late = _approach(turn, wanted, response, np.maximum(time - delay, 0))
         return np.where((time < delay)[..., None], early, late)
 
-    def _count(self, indices: NDArray[Any], angles: Array, speeds: Array, touched: Array) -> None:
-        low, high = JOINT_LIMITS
-        beyond = ((angles < low) | (angles > high)).any(axis=-1)
-        fast = (np.abs(speeds) > VELOCITY_LIMITS).any(axis=-1)
-        events = touched[..., 0], touched[..., 1], beyond, fast
-        for name, occurred in zip(self.counted, events, strict=True):
-            self.counts[name][indices] += occurred.sum(axis=1)
-
     def _picture(self, index: int) -> NDArray[np.uint8]:
         from .panda_render import arm_image
 
@@ -125,20 +96,20 @@ class PandaBlockReachVector(ArmVector):
 
 
 def _approach(start: Array, goal: Array, response: Array, time: Array) -> Array:
-    """Where joints on their way are, `(N, T, 7)` [rad].
+    """Joint angles on the way from `start` to `goal`, `(N, T, 7)` [rad].
 
-    They approach the goal as a first-order system does, `x' = (goal − x) / τ`; all slow down alike
-    for the one that would be too fast.
+    A first-order system `x' = (goal − x) / τ`; all joints slow down alike for the one that would
+    be too fast.
 
     Args:
-        start: `(N, 7)` [rad], where they are at time 0.
+        start: `(N, 7)` [rad], angles at time 0.
         goal: `(N, 7)` [rad].
         response: `(N, 1)` [s], τ.
         time: `(N, T)` [s].
     """
     fastest = np.abs(goal - start) / (_SPEED_SHARE * VELOCITY_LIMITS * response)
     excess = np.maximum(fastest.max(axis=1, keepdims=True), 1)
-    steady = (excess - 1) * response  # how long at the limit
+    steady = (excess - 1) * response  # the time at the speed limit
     left = np.where(
         time < steady,
         1 - time / (excess * response),
@@ -152,20 +123,20 @@ class PandaBlockReach(BlockReach):
 
     ## Description
     The arm stands on a table at x = −0.6 m. Blocks are 4 cm wide, lie on the table (z = 0) or are
-    stacked higher, and are markers that nothing touches: the grasp point between the fingertips can
-    reach their centres. It stays in x [−0.30, 0.10], y [−0.30, 0.30], z [0.02, 0.40], all in
-    metres. The gripper points down and does not turn; in the two upper corners farthest from the
-    base, beyond the arm's reach so, it leans back by up to 4.7°. The observer does not know which
-    block is meant; how the arm moves may tell.
+    stacked higher, and have no contact: the grasp point between the fingertips can reach their
+    centres. The workspace is x [−0.30, 0.10], y [−0.30, 0.30], z [0.02, 0.40], all in metres; the
+    arm overshoots its walls by less than a centimetre. The gripper points down and does not turn;
+    in the two upper corners farthest from the base it leans back by up to 4.7° to reach them. The
+    observer does not know which block is the target and infers it from the motion.
 
     ## Action Space
     `Box(-0.02, 0.02, (3,), float64)`: a commanded displacement of the grasp point [m] for one
-    control step (0.04 s, 20 steps of the physics). Inverse kinematics by mink makes it a command to
-    the joints, 0.02 rad inside their limits. Their reference follows it as a first-order system of
-    time constant τ after a delay, at 90 % of Franka's joint speeds at most, all joints slowed down
-    alike; position servos with Franka's torques follow the reference. τ, uniform in [0.012, 0.025]
-    s, and the delay, uniform in [0, 0.008] s, are drawn for each episode and not observed. Of a
-    steady command 0.63 to 0.88 is realised in a control step, less of the largest.
+    control step (0.04 s, 20 physics steps). Inverse kinematics by mink converts it to joint
+    angles, kept 0.02 rad inside their limits. The joints' reference follows these as a first-order
+    system of time constant τ after a delay, at 90 % of Franka's joint speeds at most, all joints
+    slowed down alike; position servos with Franka's torques follow the reference. τ, uniform in
+    [0.012, 0.025] s, and the delay, uniform in [0, 0.008] s, are drawn for each episode and not
+    observed. A control step realises 0.63 to 0.88 of a steady command, least of the largest.
 
     ## Observation Space
     A `Dict`:
@@ -173,38 +144,38 @@ class PandaBlockReach(BlockReach):
     * `position`: `Box((3,))` [m], the grasp point.
     * `goals`: `Box((6, 3))` [m], the blocks' centres; rows beyond their number are 0.
     * `present`: `MultiBinary(6)`, which rows are blocks.
-    * `target`: `Discrete(6)`, index of the block that is meant.
+    * `target`: `Discrete(6)`, index of the intended block.
 
     ## Rewards
     Minus the distance to the target [m].
 
     ## Starting State
     A scene of `Scene.random`: 2 to 6 blocks on the table or stacked up to z = 0.16, the start
-    anywhere, all at least 0.12 of the diagonal apart. The arm is at rest, its posture that of the
-    position: the elbow above, no matter what was before.
+    anywhere, all at least 0.12 of the diagonal apart. The arm is at rest, elbow up, in a posture
+    that depends on the start alone.
 
     ## Episode End
     * Termination: success. The grasp point is within 0.02 m of the target's centre and moved by at
       most 0.004 m in this step, so it is at rest or passes slowly (0.1 m/s). The step of a push or
-      a shift is no success yet.
+      a shift does not count.
     * Truncation: 400 steps.
 
     `info` has `is_success`, `distance` [m], `speed` [m/s], `wall_contact` (the command would have
-    left the workspace and was stopped at its wall), `disturbed` (a push or a shift in this step),
-    and how many steps of the physics so far had each of these: `table_contacts`, `self_collisions`,
-    `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
+    left the workspace and was clipped at its wall), `disturbed` (a push or a shift in this step),
+    and the number of physics steps of the episode with each of these: `table_contacts`,
+    `self_collisions`, `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
 
     ## Arguments
     `reset(seed=…, options={…})` takes
 
-    * `scene`: a `Scene` in the default workspace; drawn if not given.
-    * `target`: index of the goal that is meant; 0 if not given.
-    * `num_goals`: of a scene that is drawn; 2 to 6 if not given.
-    * `noise`: standard deviation [m] of each step's displacement; 0 if not given.
-    * `push`: once half the straight line's length is travelled, the arm is at rest so much [m]
-      further in a random direction, at most at the wall; 0 if not given.
-    * `shift`: the same of the target block; it stays if another is in its place.
-    * `response`, `delay`: τ [s] and the delay [s], to fix what is otherwise drawn.
+    * `scene`: a `Scene` in the default workspace; drawn by default.
+    * `target`: index of the intended goal; 0 by default.
+    * `num_goals`: of a scene that is drawn; 2 to 6 by default.
+    * `noise`: standard deviation [m] of each step's displacement; 0 by default.
+    * `push`: once half the straight line's length is travelled, the arm is placed at rest this
+      distance [m] away in a random direction, at most at the wall; 0 by default.
+    * `shift`: the same for the target block, which stays if another block is in its new place.
+    * `response`, `delay`: τ [s] and the delay [s]; drawn by default.
 
     ## Version History
     * v0: the first.

@@ -1,4 +1,4 @@
-"""Franka's meshes as pybullet_data has them, split by material for MuJoCo."""
+"""Franka's meshes from pybullet_data, split by material for MuJoCo."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["franka_meshes"]
 
 
 def franka_meshes() -> list[tuple[str, str, bytes, list[float]]]:
-    """Franka's meshes if pybullet_data is installed: name, body, OBJ file and colour of each."""
+    """Name, body, OBJ file and colour of each mesh; none without pybullet_data."""
     package = importlib.util.find_spec("pybullet_data")
     if package is None or package.origin is None:
         return []
@@ -41,7 +41,7 @@ def _colors(path: Path) -> dict[str, tuple[float, ...]]:
 
 
 def _split(text: str) -> dict[str, str]:
-    """An OBJ file of each material of an OBJ file of several."""
+    """An OBJ file for each material of an OBJ file."""
     shared: dict[str, list[str]] = {"v": [], "vn": []}
     faces: dict[str, list[list[tuple[int, int | None]]]] = {}
     material = ""
@@ -70,7 +70,7 @@ def _split(text: str) -> dict[str, str]:
                 str(places["v"][v]) + ("" if n is None else f"//{places['vn'][n]}")
                 for v, n in polygon
             ]
-            # A fan, since MuJoCo wants triangles.
+            # A fan of triangles, which MuJoCo requires.
             lines += [f"f {ends[0]} {b} {c}" for b, c in pairwise(ends[1:])]
         files[material] = "\n".join(lines) + "\n"
     return files

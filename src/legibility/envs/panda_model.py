@@ -1,4 +1,4 @@
-"""The Franka Panda in MuJoCo: how it is built and how its joints reach a point."""
+"""The Franka Panda in MuJoCo: its model, inverse kinematics and physics."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _XML = Path(__file__).with_name("panda.xml")
 
 _SHOULDER = np.array([BASE[0], BASE[1], BASE[2] + 0.333])
 _WRIST = np.array([-0.088, 0.1034 + 0.107])
-"""From the grasp point to the wrist, away from the base and up, of a gripper that points down."""
+"""From the grasp point to the wrist, away from the base and up, with the gripper down [m]."""
 
 _REACH = 0.71
-"""How far from the shoulder the wrist may be [m]; stretched out it would be 0.719."""
+"""Greatest distance of the wrist from the shoulder [m]; the stretched arm has 0.719."""
 
 JOINT_MARGIN = 0.02
-"""How far joints are kept from their limits [rad]."""
+"""Distance of the joints from their limits [rad]."""
 
 _TOLERANCE = 1e-7
 
 
 def import_mujoco() -> Any:
-    """MuJoCo, which is loaded only when it is needed."""
+    """MuJoCo, loaded on first use."""
     try:
         import mujoco
     except ModuleNotFoundError as cause:
@@ -44,31 +44,29 @@ def import_mujoco() -> Any:
         backend = os.environ.get("MUJOCO_GL")
         if backend is None:
             raise
-        if backend in ("egl", "osmesa", "glfw"):  # only its pictures: the physics needs no OpenGL
+        if backend in ("egl", "osmesa", "glfw"):  # the physics needs no OpenGL
             return _without_opengl(backend, cause)
         raise InvalidInputError(
-            f"MuJoCo cannot be loaded with MUJOCO_GL={backend} ({cause}); unset it, or set what "
-            "is installed: egl, osmesa or glfw"
+            f"MuJoCo cannot be loaded with MUJOCO_GL={backend} ({cause}); unset it, or choose "
+            "egl, osmesa or glfw"
         ) from cause
     return mujoco
 
 
 def _without_opengl(backend: str, reason: Exception) -> Any:
-    """MuJoCo, loaded without heeding MUJOCO_GL."""
+    """MuJoCo, loaded without MUJOCO_GL."""
     for name in [n for n in sys.modules if n.partition(".")[0] in ("mujoco", "OpenGL")]:
         del sys.modules[name]
     del os.environ["MUJOCO_GL"]
     import mujoco
 
-    warnings.warn(
-        f"MUJOCO_GL={backend} does not work here ({reason}) and is not heeded", stacklevel=3
-    )
+    warnings.warn(f"ignoring MUJOCO_GL={backend}, which does not work: {reason}", stacklevel=3)
     return mujoco
 
 
 def import_mink() -> Any:
     """mink, MuJoCo's inverse kinematics."""
-    import_mujoco()  # what is wrong with it is said better there
+    import_mujoco()  # its errors are clearer
     try:
         import mink
     except ImportError as cause:
@@ -77,13 +75,13 @@ def import_mink() -> Any:
 
 
 def specification() -> Any:
-    """The arm on its table, as MuJoCo's `MjSpec`: geoms of group 3 touch, those of 2 are seen."""
+    """The arm on its table as an `MjSpec`: geoms of group 3 collide, those of 2 are visible."""
     return import_mujoco().MjSpec.from_file(str(_XML))
 
 
 @functools.cache
 def physics() -> Any:
-    """The arm on its table as an `MjModel` of primitive shapes; nobody changes it."""
+    """The arm on its table as an `MjModel` of primitive shapes, shared and never changed."""
     spec = specification()
     for geom in list(spec.geoms):
         if geom.group == 2:
@@ -92,11 +90,11 @@ def physics() -> Any:
 
 
 class Kinematics:
-    """Where the joints put the grasp point, and how the joints put it elsewhere.
+    """Forward and inverse kinematics of the grasp point.
 
-    A quadratic programme of mink's: the grasp point goes to a target, the gripper stays down and
-    does not turn, the elbow stays above (joint 3 at 0), all joints stay within their limits. So a
-    position has one posture, however the arm comes there.
+    A quadratic programme of mink: the grasp point goes to a target, the gripper stays down and does
+    not turn, the elbow stays up (joint 3 at 0), all joints stay within their limits. So a position
+    has one posture, whichever way the arm came.
     """
 
     def __init__(self) -> None:
@@ -116,19 +114,19 @@ class Kinematics:
         return Kinematics, ()
 
     def grasp_point(self, angles: Array) -> Array:
-        """Where the grasp point is, `(3,)` [m], of `angles (7,)` [rad]."""
+        """The grasp point `(3,)` [m] at `angles (7,)` [rad]."""
         data = self._configuration.data
         data.qpos = angles
         self._mujoco.mj_kinematics(self._configuration.model, data)
         return data.site_xpos[self._site].copy()
 
     def step(self, angles: Array, target: Array) -> Array:
-        """How far the joints must go from `angles` to put the grasp point there, `(7,)` [rad]."""
+        """Change of the joints from `angles` toward the grasp point `target`, `(7,)` [rad]."""
         self._aim(target)
         return self._solve(angles, self._elbow)
 
     def solve(self, target: Array) -> Array:
-        """Angles `(7,)` [rad] that put the grasp point at `target`, found from `HOME`."""
+        """Angles `(7,)` [rad] that put the grasp point at `target`, searched from `HOME`."""
         self._aim(target)
         angles = HOME.copy()
         for _ in range(100):
@@ -148,18 +146,18 @@ class Kinematics:
         problem = self._build(
             self._configuration, [self._frame, posture], dt=1.0, limits=self._limits
         )
-        # Within its limits, as nearly always, the programme's minimum is that without them.
+        # Away from the limits, nearly always, they do not change the minimum.
         step = np.linalg.solve(problem.P, -problem.q)
         if (problem.G @ step <= problem.h).all():
             return step
         import qpsolvers
 
-        found = qpsolvers.solve_problem(problem, solver="daqp").x
-        return np.zeros_like(angles) if found is None else found
+        solution = qpsolvers.solve_problem(problem, solver="daqp").x
+        return np.zeros_like(angles) if solution is None else solution
 
 
 class Simulation:
-    """MuJoCo's physics of many arms, one after the other; it remembers nothing between calls."""
+    """MuJoCo's physics of many arms; a call does not depend on earlier ones."""
 
     def __init__(self) -> None:
         mujoco, self._model = import_mujoco(), physics()
@@ -173,12 +171,12 @@ class Simulation:
         return Simulation, ()
 
     def run(self, angles: Array, speeds: Array, controls: Array) -> tuple[Array, Array, Array]:
-        """The next physics steps.
+        """Simulate `T` physics steps.
 
         Args:
             angles: `(B, 7)` [rad].
             speeds: `(B, 7)` [rad/s].
-            controls: `(B, T, 7)` [rad], where the motors pull to in each step.
+            controls: `(B, T, 7)` [rad], the motors' goal in each step.
 
         Returns:
             Angles and speeds after each step `(B, T, 7)`, and whether the arm touched the
@@ -193,8 +191,8 @@ class Simulation:
 def _orientation(target: Array) -> Array:
     """The gripper's orientation in the world at `target`, a quaternion `(4,)` (w, x, y, z).
 
-    It points down, its x axis along the world's. Where the arm could not reach so far, it leans
-    back toward the base just as much as it must.
+    It points down, its x axis along the world's. Beyond the arm's reach it leans back toward the
+    base, by the least angle that suffices.
     """
     x, y, z = target - _SHOULDER
     radius = np.hypot(x, y)

@@ -25,21 +25,21 @@ from .panda_model import import_mujoco, physics, specification
 
 __all__ = ["FRONT", "Camera", "Trail", "arm_image"]
 
-_STACK, _RING = (0.80, 0.80, 0.79), 0.75 * BLOCK * 2**0.5
-_SMOOTH = 2
-_FINE = 3
+_STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
+_SMOOTH, _FINE = 2, 3
+"""The picture is drawn this many times larger and reduced, with OpenGL and as a sketch."""
 _MAX_SHAPES = 5_000
 
 
 class Camera(NamedTuple):
-    """Where a picture is taken from.
+    """The camera of a picture.
 
     Attributes:
         azimuth: of the view's direction [degrees].
         elevation: of the view's direction; negative looks down [degrees].
         distance: from `lookat` [m].
         lookat: the middle of the picture [m].
-        angle: what the picture takes in from top to bottom [degrees].
+        angle: vertical field of view [degrees].
     """
 
     azimuth: float = 140.0
@@ -50,7 +50,7 @@ class Camera(NamedTuple):
 
 
 FRONT = Camera(150.0, -28.0, 2.1, (-0.22, 0.0, 0.25), 30.0)
-"""Nearer and more from the front than the default."""
+"""Nearer than the default and more from the front."""
 
 
 class Trail(NamedTuple):
@@ -58,7 +58,7 @@ class Trail(NamedTuple):
 
     Attributes:
         points: `(T, 3)` [m].
-        rgba: its colour, four shares of 1.
+        rgba: its colour, each channel from 0 to 1.
         radius: of the tube [m].
     """
 
@@ -81,22 +81,22 @@ def arm_image(
     target: int | None,
     angles: Array,
     *,
-    trails: Iterable[Trail | tuple[Array, Sequence[float], float]] = (),
+    trails: Iterable[Trail] = (),
     size: tuple[int, int] = (480, 480),
     camera: Camera = Camera(),  # noqa: B008 (immutable)
 ) -> NDArray[np.uint8]:
     """The arm among a scene's blocks, `(H, W, 3)`.
 
-    A block has the colour of its index, a ring lies around the target, what carries a block is
+    A block has the colour of its index, a ring marks the target, the support of a stacked block is
     grey. Without OpenGL it is a plain drawing, and a warning says so once.
 
     Args:
-        scene: the scene as it is now.
-        target: index of the goal that is meant, if it is to be marked.
+        scene: the current scene.
+        target: index of the goal that the ring marks, if any.
         angles: `(7,)` [rad], of the arm's joints.
         trails: trajectories drawn as tubes, 5000 points in all at most.
         size: width and height [pixels].
-        camera: where it is taken from.
+        camera: the camera.
     """
     width, height = (
         count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
@@ -112,31 +112,31 @@ def arm_image(
     return renderer.draw(angles, shapes, width, height, camera)
 
 
-def _rgb(color: str) -> tuple[float, ...]:
-    return tuple(channel / 255 for channel in ImageColor.getrgb(color))
+def _rgba(color: str) -> tuple[float, ...]:
+    return (*(channel / 255 for channel in ImageColor.getrgb(color)), 1.0)
 
 
 def _blocks(scene: Scene, target: int | None) -> list[_Shape]:
     shapes = []
     half = BLOCK / 2
     for index, goal in enumerate(scene.goals):
-        shapes.append(_Shape(goal, (half,) * 3, (*_rgb(GOALS[index % len(GOALS)]), 1.0)))
+        shapes.append(_Shape(goal, (half,) * 3, _rgba(GOALS[index % len(GOALS)])))
         bottom = goal[2] - half
-        while bottom > 1e-3:  # the lowest is as high as there is room
+        while bottom > 1e-3:  # the lowest block is cut to the room that is left
             height = min(BLOCK, bottom)
             centre = np.array([*goal[:2], bottom - height / 2])
-            # A little slimmer, so that a goal's block in the same place is what is seen.
-            shapes.append(_Shape(centre, (0.95 * half, 0.95 * half, height / 2), (*_STACK, 1.0)))
+            # Slightly slimmer, so that it hides no goal's block in the same place.
+            shapes.append(_Shape(centre, (0.95 * half, 0.95 * half, height / 2), _STACK))
             bottom -= height
     if target is not None:
         middle = scene.target(target) - [0, 0, half - 0.002]
         turn = np.linspace(0, 2 * np.pi, 49)
         ring = middle + _RING * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
-        shapes += _tubes([(ring, (*_rgb(INK), 1.0), 0.0016)])
+        shapes += _tubes([Trail(ring, _rgba(INK), 0.0016)])
     return shapes
 
 
-def _tubes(trails: Iterable[Trail | tuple[Array, Sequence[float], float]]) -> list[_Shape]:
+def _tubes(trails: Iterable[Trail]) -> list[_Shape]:
     return [
         _Shape(start, (radius,) * 3, tuple(rgba), end)
         for points, rgba, radius in trails
@@ -158,7 +158,7 @@ def _renderer() -> _Renderer | None:
             try:
                 _LOCAL.renderer = _Renderer(importlib.import_module(way))
                 break
-            except Exception as cause:  # whatever is wrong with OpenGL here, there is a picture
+            except Exception as cause:  # drivers fail in many ways; the sketch always works
                 causes.append(f"{way}: {type(cause).__name__}: {cause}")
         else:
             warnings.warn(
@@ -170,13 +170,13 @@ def _renderer() -> _Renderer | None:
 
 
 def _ways() -> list[str]:
-    """Modules with a `GLContext`: what the user names, or what needs no display, then the rest."""
+    """Modules with a `GLContext`: the user's choice, or first those that need no display."""
     import_mujoco()
     if os.environ.get("MUJOCO_GL") or os.name != "posix":
         return ["mujoco"]
     libraries = (("mujoco.egl", "EGL"), ("mujoco.osmesa", "OSMesa"))
-    found = [module for module, library in libraries if ctypes.util.find_library(library)]
-    return [*found, "mujoco"]
+    windowless = [module for module, library in libraries if ctypes.util.find_library(library)]
+    return [*windowless, "mujoco"]
 
 
 class _Renderer:
@@ -205,15 +205,8 @@ class _Renderer:
         view.azimuth, view.elevation = camera.azimuth, camera.elevation
         view.distance, view.lookat[:] = camera.distance, camera.lookat
         self._model.vis.global_.fovy = camera.angle
-        mujoco.mjv_updateScene(
-            self._model,
-            self._data,
-            self._option,
-            None,
-            view,
-            mujoco.mjtCatBit.mjCAT_ALL,
-            scene,
-        )
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, self._data, self._option, None, view, everything, scene)
         geoms = scene.geoms
         for shape in shapes:
             self._add(geoms[scene.ngeom], shape)
@@ -225,32 +218,21 @@ class _Renderer:
         return np.array(Image.fromarray(pixels[::-1]).reduce(_SMOOTH))
 
     def _add(self, geom: Any, shape: _Shape) -> None:
-        mujoco = self._mujoco
-        kind = mujoco.mjtGeom.mjGEOM_BOX if shape.end is None else mujoco.mjtGeom.mjGEOM_CAPSULE
-        mujoco.mjv_initGeom(
-            geom,
-            kind,
-            np.array(shape.size),
-            np.asarray(shape.centre, dtype=np.float64),
-            np.eye(3).ravel(),
-            np.array(shape.rgba, dtype=np.float32),
-        )
-        decor = shape.end is not None  # casts no shadow
-        geom.category = mujoco.mjtCatBit.mjCAT_DECOR if decor else mujoco.mjtCatBit.mjCAT_DYNAMIC
+        mujoco, tube = self._mujoco, shape.end is not None
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE if tube else mujoco.mjtGeom.mjGEOM_BOX
+        centre, rgba = shape.centre.astype(np.float64), np.array(shape.rgba, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.array(shape.size), centre, np.eye(3).ravel(), rgba)
+        geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
         geom.specular, geom.shininess = 0.2, 0.3
         if shape.end is not None:
-            mujoco.mjv_connector(
-                geom,
-                kind,
-                shape.size[0],
-                np.asarray(shape.centre, dtype=np.float64),
-                np.asarray(shape.end, dtype=np.float64),
-            )
+            geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # casts no shadow
+            end = shape.end.astype(np.float64)
+            mujoco.mjv_connector(geom, kind, shape.size[0], centre, end)
 
 
 @functools.cache
 def _looks() -> Any:
-    """The model that is drawn: the physics' joints in other clothes."""
+    """The model that is drawn: the joints of the physics with Franka's meshes, where there are."""
     mujoco, spec = import_mujoco(), specification()
     bodies = {body.name: body for body in spec.bodies}
     meshes = franka_meshes()
@@ -261,43 +243,11 @@ def _looks() -> Any:
         spec.assets = {**spec.assets, f"{name}.obj": text}
         mesh = spec.add_mesh(name=name, file=f"{name}.obj")
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        fingers = ("left_finger", "right_finger")
-        for body in fingers if link == "finger" else (link,):
+        for body in ("left_finger", "right_finger") if link == "finger" else (link,):
             bodies[body].add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=name,
-                rgba=rgba,
-                contype=0,
-                conaffinity=0,
-                mass=0,
-                group=2,
-            )
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=[1, 1, 1],
-        rgb2=[1, 1, 1],
-        width=16,
-        height=96,
-    )
-    for x, y, shadow in ((0.03, 0.12, True), (-0.5, 0.6, False)):
-        spec.worldbody.add_light(
-            pos=[-0.2 - 2 * x, -2 * y, 2.0],
-            dir=[x, y, -1],
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            diffuse=[0.2] * 3,
-            specular=[0.08] * 3,
-            castshadow=shadow,
-        )
-    spec.visual.headlight.ambient = [0.48] * 3
-    spec.visual.headlight.diffuse = [0.24] * 3
-    spec.visual.headlight.specular = [0.05] * 3
-    spec.visual.quality.shadowsize = 4096
-    spec.visual.quality.offsamples = 4
-    spec.visual.map.znear = 0.02
-    spec.stat.extent = 1.2
-    spec.stat.center = [-0.2, 0, 0.3]
+                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=rgba,
+                contype=0, conaffinity=0, mass=0, group=2,
+            )  # fmt: skip
     return spec.compile()
 
 
@@ -309,7 +259,7 @@ _BODY, _EDGE = (0.90, 0.91, 0.92), (0.55, 0.56, 0.58)
 
 
 class _Sketch:
-    """Capsules and boxes, the far ones first, in the perspective that OpenGL would have."""
+    """Capsules and boxes, the far ones first, in the perspective of the OpenGL picture."""
 
     def __init__(self, width: int, height: int, camera: Camera) -> None:
         azimuth, elevation, half = np.radians([camera.azimuth, camera.elevation, camera.angle / 2])
@@ -333,7 +283,7 @@ class _Sketch:
             centre, size = data.geom_xpos[i].copy(), model.geom_size[i]
             turn = data.geom_xmat[i].reshape(3, 3)
             if i == model.geom("table").id:
-                self._box(centre, size, turn, tuple(model.geom_rgba[i]))  # below all else
+                self._box(centre, size, turn, tuple(model.geom_rgba[i]))  # below the rest
             elif model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
                 items.append(_Shape(centre, tuple(size), (*_EDGE, 1.0)))
             else:
@@ -352,7 +302,7 @@ class _Sketch:
         return np.array(self._image.reduce(_FINE))
 
     def _place(self, points: Array) -> Array:
-        """Where `(..., 3)` [m] is in the picture and how large a metre is there, `(..., 3)`."""
+        """Pixel position of `points (..., 3)` [m], and pixels of a metre there, `(..., 3)`."""
         seen = (points - self._eye) @ self._axes.T
         scale = self._scale / np.maximum(seen[..., 2:], 1e-3)
         return np.concatenate([self._size / 2 + seen[..., :2] * [1, -1] * scale, scale], axis=-1)

@@ -9,18 +9,19 @@ import functools
 import os
 import sys
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
+from scipy.optimize import least_squares
 
 from ..checks import Array
 from ..errors import InvalidInputError, MissingExtraError
 from .arm import BASE, BLOCK, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
-from .block_reach import BlockReach
 from .colors import GOALS
+from .single import BlockReach
 
 __all__ = ["PandaGymBlockReach", "PandaGymBlockReachVector"]
 
@@ -29,35 +30,37 @@ _DOWN = np.array([1.0, 0.0, 0.0, 0.0])
 """The gripper's orientation as a quaternion (x, y, z, w)."""
 
 _IK_STEPS = 100
-"""Most steps of PyBullet's inverse kinematics. With panda-gym's 20 the solution is 3 mm off for a
-displacement of 2 cm, and by all of it where the arm is almost straight."""
+"""Most iterations of PyBullet's inverse kinematics. After panda-gym's 20 the solution is 3 mm off
+for a displacement of 2 cm, and useless where the arm is almost straight."""
 
-# PyBullet's motor aims at the speed gain × error / time step, which is highest at first.
+# PyBullet's motor aims at the speed gain × error / time step, highest in the first step.
 _GAIN, _TIME_STEP = 0.1, 1 / 500
 _SPEED_SHARE = 0.95
-"""Of the velocity limits: a motor that would exceed it gets a lower gain."""
+"""Share of the velocity limits above which all motors get a lower gain."""
 
 _BOUNDS = JOINT_LIMITS + np.array([[0.01], [-0.01]])
 _BOUNDS[1, 3] = -0.46
-"""Angles that the joints are sent to, `(2, 7)` [rad]. The arm is straight with joint 4 at −0.47;
-beyond, the elbow would turn over."""
+"""Range of commanded angles, `(2, 7)` [rad]. The arm is straight with joint 4 at −0.47; beyond, the
+elbow would turn over."""
 
 _LEVERS = 3e-3, 1e-5
-"""How far [m] off a radian counts of the gripper's tilt, and of a joint from `HOME`, where the arm
-is placed. In the far upper corners the gripper tilts a little, so that it is in its place."""
-_MOST_STEPS, _TOLERANCE = 100, 1e-5
+"""Cost [m] of a radian of the gripper's tilt, and of a radian between a joint and `HOME`, when the
+arm is placed. In the far upper corners the gripper tilts a little to reach its place."""
 
 _SIZE, _SHARPNESS = 480, 2
-"""Pixels of a picture, and how many times as many are drawn."""
-_CAMERA = [0.95, -0.75, 0.75], [-0.22, 0.02, 0.24]
-"""Where the camera is and what it looks at [m]."""
+"""Pixels of a picture, and the factor by which more are drawn."""
+_CAMERA = [0.95, -0.75, 0.75], [-0.22, 0.02, 0.24], [0, 0, 1]
+"""Position of the camera, the point that it looks at, and up [m]."""
 _ANGLE_OF_VIEW = 43.0
-_LIGHT = [1.2, -2.0, 9.0]
 _TABLE, _FLOOR, _SUPPORT = "#e8e6e1", "#c9ccd1", "#b9b9b9"
 _AWAY = np.array([0.0, 0.0, -5.0])
+_LIGHT = {
+    "lightDirection": [1.2, -2.0, 9.0], "lightColor": [1, 1, 1], "lightDistance": 10, "shadow": 1,
+    "lightAmbientCoeff": 0.6, "lightDiffuseCoeff": 0.38, "lightSpecularCoeff": 0.05,
+}  # fmt: skip
 
-# Links that are not neighbours and that the workspace lets come near each other: the forearm, the
-# wrist and the hand with the base, the shoulder and the upper arm. −1 is the base.
+# Links that are not neighbours and may meet in the workspace: the forearm, the wrist and the hand
+# with the base, the shoulder and the upper arm. −1 is the base.
 _PAIRS = [
     *((a, b) for a in (4, 5) for b in (-1, 0, 1)),
     *((a, b) for a in (6, 8, 9, 10) for b in (-1, 0, 1, 2, 3)),
@@ -66,9 +69,9 @@ _PAIRS = [
 
 
 class PandaGymBlockReachVector(ArmVector):
-    """Many `PandaGymBlockReach` at once, a PyBullet world each.
+    """Many `PandaGymBlockReach`, each in its own PyBullet world.
 
-    Worlds are kept when an environment is closed or forgotten, for the next one of the process.
+    The worlds of a closed or collected environment serve the next one of the process.
     """
 
     at_once = 16
@@ -85,12 +88,6 @@ class PandaGymBlockReachVector(ArmVector):
         """`(B, 7)` [rad]."""
         return np.array([world.joints() for world in self._worlds])
 
-    def _draw_robot(self, rng: np.random.Generator, options: Mapping[str, Any]) -> dict[str, Any]:
-        rng.random(2)  # as many as the arm on MuJoCo draws: the same seed draws the same scene
-        return {}
-
-    def _begin(self, index: int, robot: dict[str, Any]) -> None: ...
-
     def _place(self, index: int, position: Array) -> Array:
         return self._worlds[index].place(position)
 
@@ -106,7 +103,7 @@ class PandaGymBlockReachVector(ArmVector):
         return _stage().picture(self._worlds[index].joints(), self.scenes[index].goals)
 
     def close_extras(self, **_: Any) -> None:
-        """Let other environments have the worlds."""
+        """Return the worlds for reuse."""
         self._give_back()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -118,14 +115,14 @@ class PandaGymBlockReachVector(ArmVector):
 class _World:
     """A PyBullet world with panda-gym's plane, table and arm, and nothing else.
 
-    Blocks are ghosts, which no body feels: only the picture shows them.
+    Blocks have no contact: only the picture shows them.
     """
 
     def __init__(self, visible: bool = False) -> None:
         pybullet, panda = _import()
         with _silence():
             self.sim = pybullet(n_substeps=ArmVector.substeps)
-            if not visible:  # the looks of an arm take 90 MB
+            if not visible:  # the visual meshes of an arm take 90 MB
                 flags = self.sim.physics_client.URDF_IGNORE_VISUAL_SHAPES
                 self.sim.loadURDF = functools.partial(self.sim.loadURDF, flags=flags)
             self.sim.create_plane(z_offset=-0.4)
@@ -133,7 +130,7 @@ class _World:
             self.arm = panda(
                 self.sim, block_gripper=True, base_position=BASE.copy(), control_type="ee"
             )
-        # PyBullet may be gone before its clients are, who then complain.
+        # A client that outlives PyBullet's module prints an error when it is collected.
         atexit.register(self.sim.close)
         self.client = self.sim.physics_client
         self.body = self.sim._bodies_idx["panda"]
@@ -146,39 +143,28 @@ class _World:
         return np.array([state[0] for state in self.client.getJointStates(self.body, _ARM)])
 
     def set_joints(self, angles: Array) -> None:
-        """The arm is at rest at `angles (7,)` [rad], the gripper closed."""
+        """Put the arm at rest at `angles (7,)` [rad], with the gripper closed."""
         for joint, angle in zip([*_ARM, *_FINGERS], [*angles, 0.0, 0.0], strict=True):
             self.client.resetJointState(self.body, joint, angle, 0.0)
 
     def place(self, position: Array) -> Array:
-        """Be at rest at `position (3,)` [m], whatever was before; where that is."""
+        """Put the arm at rest at `position (3,)` [m] from a fresh state; return where it is."""
         self.client.restoreState(self._fresh)
-        angles: Array = HOME
-        damping = 1e-2
-        error = self._error(angles, position)
-        for _ in range(_MOST_STEPS):  # Levenberg and Marquardt
-            jacobian = self._jacobian(angles)
-            normal = jacobian.T @ jacobian + damping**2 * np.eye(7)
-            step = np.linalg.solve(normal, jacobian.T @ error)
-            tried: Array = angles + step * min(1.0, 0.3 / np.abs(step).max())
-            found = self._error(tried, position)
-            if found @ found < error @ error:
-                angles, error, damping = tried, found, damping / 4
-                if np.abs(step).max() < _TOLERANCE:
-                    break
-            else:
-                damping *= 8
+        jacobian: Any = self._jacobian
+        angles = least_squares(
+            self._error, HOME, jacobian, method="lm", xtol=1e-8, args=(position,)
+        ).x
         self.set_joints(angles)
         self._hold(angles)
         return self._position()
 
     def drive(self, target: Array, substeps: int) -> tuple[Array, list[int]]:
-        """Go toward `target (3,)` [m] for a control step.
+        """Move toward `target (3,)` [m] for one control step.
 
         Returns:
-            Where that ends `(3,)` [m], and the physics steps with a contact with the table, links
-            in each other (looked for at the end of the control step only), a joint beyond its
-            limits and a joint too fast.
+            The position reached `(3,)` [m], and the number of physics steps with a table contact, a
+            self-collision (checked at the end of the control step only), a joint beyond its limits
+            and a joint too fast.
         """
         client, body, table = self.client, self.body, self.table
         angles = self.joints()
@@ -201,7 +187,7 @@ class _World:
         return self._position(), [contacts, int(collided), int(beyond.sum()), int(fast.sum())]
 
     def _hold(self, angles: Array, gain: float = _GAIN) -> None:
-        """The motors go to `angles (7,)` [rad] from now on, the fingers stay closed."""
+        """Set the motors' goal `angles (7,)` [rad]; the fingers stay closed."""
         self.client.setJointMotorControlArray(
             self.body,
             [*_ARM, *_FINGERS],
@@ -215,19 +201,19 @@ class _World:
         return np.array(self.client.getLinkState(self.body, self.arm.ee_link)[0])
 
     def _error(self, angles: Array, position: Array) -> Array:
-        """What is missing at `angles (7,)` [rad] to `position (3,)` [m], to the gripper down and to
-        `HOME`: `(13,)` [m], see `_LEVERS` for turns.
+        """Distance of the arm at `angles (7,)` [rad] to `position (3,)` [m], to a gripper that
+        points down and to `HOME`: `(13,)` [m]; see `_LEVERS` for angles.
         """
         self.set_joints(angles)
         state = self.client.getLinkState(self.body, self.arm.ee_link, computeForwardKinematics=1)
         x, y, z, w = state[1]
-        # _DOWN times the inverse of the orientation; twice its vector part for small angles.
+        # The inverse of the orientation times _DOWN; twice its vector part for small angles.
         turn = 2 * np.sign(x) * np.array([w, z, -y])
         gripper, posture = _LEVERS
-        return np.concatenate([position - state[0], gripper * turn, posture * (HOME - angles)])
+        return np.concatenate([state[0] - position, -gripper * turn, posture * (angles - HOME)])
 
-    def _jacobian(self, angles: Array) -> Array:
-        """How `_error` shrinks with the joints' angles, `(13, 7)`."""
+    def _jacobian(self, angles: Array, _: Array) -> Array:
+        """Derivative of `_error` by the joints' angles, `(13, 7)`."""
         still, (gripper, posture) = [0.0] * 9, _LEVERS
         linear, angular = self.client.calculateJacobian(
             self.body, self.arm.ee_link, still[:3], [*angles, 0.0, 0.0], still, still
@@ -237,61 +223,40 @@ class _World:
 
 
 class _Stage(_World):
-    """A world that is only looked at, so that looking changes nothing in the others."""
+    """A world for pictures only, so that a picture changes nothing in the others."""
 
     def __init__(self) -> None:
         super().__init__(visible=True)
-        self._blocks: dict[str, list[int]] = {}
+        self._boxes: list[int] = []
         client = self.client
         for body, color in ((self.table, _TABLE), (self.sim._bodies_idx["plane"], _FLOOR)):
             client.changeVisualShape(body, -1, rgbaColor=_rgba(color))
-        self._view = client.computeViewMatrix(*_CAMERA, [0, 0, 1])
+        self._view = client.computeViewMatrix(*_CAMERA)
         self._projection = client.computeProjectionMatrixFOV(_ANGLE_OF_VIEW, 1.0, 0.1, 10.0)
 
     def picture(self, angles: Array, goals: Array) -> NDArray[np.uint8]:
         """The arm at `angles (7,)` [rad] among the blocks at `goals (G, 3)` [m], `(H, W, 3)`."""
         self.set_joints(angles)
-        used: dict[str, int] = {}
-        for index, goal in enumerate(goals):
-            self._show(GOALS[index % len(GOALS)], goal, used)
-            for below in np.arange(goal[2] - BLOCK, BLOCK / 4, -BLOCK):
-                self._show(_SUPPORT, np.array([*goal[:2], below]), used)
-        for color, bodies in self._blocks.items():
-            for body in bodies[used.get(color, 0) :]:
-                self._put(body, _AWAY)
+        shown = [(goal, GOALS[index % len(GOALS)]) for index, goal in enumerate(goals)]
+        for x, y, z in goals:
+            shown += [
+                ((x, y, below), _SUPPORT) for below in np.arange(z - BLOCK, BLOCK / 4, -BLOCK)
+            ]
+        for number in range(len(self._boxes), len(shown)):
+            name, half = f"box {number}", np.full(3, BLOCK / 2)
+            self.sim.create_box(name, half, 0.0, _AWAY, np.ones(4), ghost=True)
+            self._boxes.append(self.sim._bodies_idx[name])
+        hidden = [(_AWAY, _SUPPORT)] * (len(self._boxes) - len(shown))
+        for body, (position, color) in zip(self._boxes, [*shown, *hidden], strict=True):
+            self.client.resetBasePositionAndOrientation(body, position, [0.0, 0.0, 0.0, 1.0])
+            self.client.changeVisualShape(body, -1, rgbaColor=_rgba(color))
         size = _SHARPNESS * _SIZE
         rgba = self.client.getCameraImage(
-            size,
-            size,
-            self._view,
-            self._projection,
-            lightDirection=_LIGHT,
-            lightColor=[1, 1, 1],
-            lightDistance=10,
-            lightAmbientCoeff=0.6,
-            lightDiffuseCoeff=0.38,
-            lightSpecularCoeff=0.05,
-            shadow=1,
-            flags=self.client.ER_NO_SEGMENTATION_MASK,
-            renderer=self.client.ER_TINY_RENDERER,
-        )[2]
+            size, size, self._view, self._projection, **_LIGHT,
+            flags=self.client.ER_NO_SEGMENTATION_MASK, renderer=self.client.ER_TINY_RENDERER,
+        )[2]  # fmt: skip
         image = np.reshape(np.asarray(rgba, dtype=np.uint8), (size, size, 4))[..., :3]
         return np.array(Image.fromarray(image).reduce(_SHARPNESS))
-
-    def _show(self, color: str, position: Array, used: dict[str, int]) -> None:
-        """Put one more block of `color` at `position (3,)` [m]."""
-        bodies, number = self._blocks.setdefault(color, []), used.get(color, 0)
-        used[color] = number + 1
-        if number == len(bodies):
-            name = f"{color} {number}"
-            self.sim.create_box(
-                name, np.full(3, BLOCK / 2), 0.0, position, np.array(_rgba(color)), ghost=True
-            )
-            bodies.append(self.sim._bodies_idx[name])
-        self._put(bodies[number], position)
-
-    def _put(self, body: int, position: Array) -> None:
-        self.client.resetBasePositionAndOrientation(body, position, [0.0, 0.0, 0.0, 1.0])
 
 
 @functools.cache
@@ -304,7 +269,7 @@ def _rgba(color: str) -> list[float]:
 
 
 _IDLE: list[_World] = []
-"""Worlds that no environment uses now."""
+"""Worlds without an environment, for reuse."""
 
 
 def _recycle(worlds: list[_World]) -> None:
@@ -315,7 +280,7 @@ def _recycle(worlds: list[_World]) -> None:
 def _import() -> tuple[Any, Any]:
     """panda-gym's simulation and its robot."""
     try:
-        with _silence():  # pybullet tells when it was built
+        with _silence():  # pybullet prints its build time
             from panda_gym.envs.robots.panda import Panda
             from panda_gym.pybullet import PyBullet
     except ImportError as cause:
@@ -331,7 +296,7 @@ def _import() -> tuple[Any, Any]:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """What C code prints goes nowhere."""
+    """Discard the output of C code."""
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     flush = ctypes.CDLL(None).fflush if os.name == "posix" else lambda _: None
@@ -339,7 +304,7 @@ def _silence() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError), open(os.devnull, "w") as nowhere:
             for number in (1, 2):
-                copy = os.dup(number)  # fails where there is none
+                copy = os.dup(number)  # fails where the stream is closed
                 stack.callback(os.close, copy)
                 stack.callback(os.dup2, copy, number)
                 os.dup2(nowhere.fileno(), number)
@@ -348,64 +313,47 @@ def _silence() -> Iterator[None]:
 
 
 class PandaGymBlockReach(BlockReach):
-    """A Franka Panda moves its gripper to one of several coloured blocks; simulated by panda-gym.
+    """A Franka Panda moves its gripper toward one of several coloured blocks, in panda-gym.
 
     ## Description
-    The paper's simulator: the arm, table and physics of panda-gym (PyBullet), the arm standing at
-    x = −0.6 on a table whose top is z = 0. The position is that of the grasp point between the
-    fingertips, and the gripper points down, closed. Blocks are markers of 4 cm without contact, so
-    that the grasp point can reach their centre; what holds up a higher one is drawn grey, and the
-    picture does not mark the target. The
-    interface is that of `PandaBlockReach`, its twin in MuJoCo.
+    The paper's simulator: the arm, table and physics of panda-gym (PyBullet). The task and the
+    interface are those of `PandaBlockReach`, its twin in MuJoCo: the arm stands at x = −0.6 on a
+    table whose top is z = 0, and the position is that of the grasp point between the fingertips.
+    The gripper points down, closed. Blocks of 4 cm have no contact. The picture shows the support
+    of a stacked block in grey and does not mark the target.
 
     ## Action Space
     `Box(-0.02, 0.02, (3,), float64)`: a commanded displacement [m] for one control step (0.04 s,
-    20 steps of the physics). As in panda-gym, PyBullet's inverse kinematics makes joint angles of
-    the position that is meant and its position motors go there; unlike there, all motors get the
-    same lower gain where a joint would exceed its velocity limit. Of a command 45 to 85 % is
-    realised, the less the larger it is.
+    20 physics steps). As in panda-gym, PyBullet's inverse kinematics converts the commanded
+    position to joint angles, which its position motors approach; unlike there, all motors get the
+    same lower gain where a joint would exceed its velocity limit. A control step realises 45 to
+    85 % of a command, least of the largest.
 
     ## Observation Space
     A `Dict`:
 
-    * `position`: `Box((3,))` [m], the grasp point. It may be beyond the workspace by a few
-      millimetres, and where the arm is stretched, near (0.1, ±0.3, 0.4), by 2 cm.
-    * `goals`: `Box((6, 3))` [m], the centres of the blocks; rows beyond their number are 0.
+    * `position`: `Box((3,))` [m], the grasp point. It overshoots the walls by a few millimetres,
+      and where the arm is stretched, near (0.1, ±0.3, 0.4), by 2 cm.
+    * `goals`: `Box((6, 3))` [m], the blocks' centres; rows beyond their number are 0.
     * `present`: `MultiBinary(6)`, which rows are blocks.
-    * `target`: `Discrete(6)`, index of the block that is meant.
+    * `target`: `Discrete(6)`, index of the intended block.
 
     ## Rewards
     Minus the distance to the target [m].
 
     ## Starting State
-    A scene of `Scene.random`: 2 to 6 blocks on the table or stacked, the start anywhere. The arm is
-    at rest, in a posture that depends on the start alone.
+    As in `PandaBlockReach`: the same seed draws the same scene.
 
     ## Episode End
-    * Termination: success. The grasp point is within 0.02 m of the target's centre and moved by at
-      most 4 mm in this step. The step of a push or a shift is no success yet.
-    * Truncation: 400 steps.
-
-    `info` has `is_success`, `distance` [m], `speed` [m/s], `wall_contact` (the command would have
-    led out of the workspace and was cut off at its wall), `disturbed` (a push or a shift in this
-    step) and, counted since the episode's start, the physics steps with
-
-    * `table_contacts`: the arm presses on the table;
-    * `self_collisions`: the hull of the forearm, wrist or hand is in that of another link that is
-      no neighbour; looked for once a control step, at its end;
-    * `joint_limit_violations`, `velocity_limit_violations`: a measured joint angle or speed is
-      beyond Franka's limits.
+    As in `PandaBlockReach`, with the same `info`, but that `self_collisions` are checked once a
+    control step, between the hulls of links that are no neighbours.
 
     ## Arguments
-    `reset(seed=…, options={…})` takes
+    `reset(seed=…, options={…})` takes `scene`, `target`, `num_goals`, `noise`, `push` and `shift`
+    of `PandaBlockReach`.
 
-    * `scene`: a `Scene` in the default workspace; drawn if not given.
-    * `target`: index of the goal that is meant; 0 if not given.
-    * `num_goals`: of a scene that is drawn; 2 to 6 if not given.
-    * `noise`: standard deviation [m] of each step's displacement; 0 if not given.
-    * `push`: once half the straight line's length is travelled, the arm is displaced by so much [m]
-      in a random direction, at most to the wall; 0 if not given.
-    * `shift`: the same of the target block; it stays if another is in its place.
+    ## Version History
+    * v0: the first.
     """
 
     batch_type = PandaGymBlockReachVector

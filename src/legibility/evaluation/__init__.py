@@ -1,1 +1,1 @@
-"""Measurements on scenes that training never drew, and the tables and figures made of them."""
+"""Measurements on held-out scenes."""

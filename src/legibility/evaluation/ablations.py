@@ -32,7 +32,7 @@ COLUMNS = {
     "at_-1": "ℓ when asked −1",
     "length_ratio_at_0": "length when asked 0",
 }
-"""Headings of the dial's metrics that a table of the rows shows."""
+"""Heads of the dial's metrics in the table of the rows."""
 
 
 class Variant(NamedTuple):

@@ -1,4 +1,4 @@
-"""The comparison of the modulator with its baselines: executed, paired, with statistics."""
+"""The paired comparison of the modulator with its baselines on executed motions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ..motion.path import Path
 from ..parallel import Each, threads
 from ..rollout import Rollout
 from ..scene import Scene
-from .statistics import CONFIDENT, holm, paired_test
+from .statistics import holm, paired_test
 
 __all__ = [
     "BASELINE",
@@ -47,22 +47,26 @@ __all__ = [
 ]
 
 CANDIDATES = 64
-"""Paths drawn by the modulator's second row, of which the best one is taken."""
+"""Paths drawn by the modulator's second row, which takes the best."""
 
 OURS = ("modulator", "modulator, candidates")
 BASELINE = "diffusion policy"
-"""The method that knows nothing of legibility; bold is what differs from it (paper, Table I)."""
-
+"""The method without any notion of legibility; bold cells differ from it (paper, Table I)."""
 
 _REPEATS = 25
 
 
 class Method(NamedTuple):
-    """A way to get to the goal: by a path that stage 2 follows, or by a policy of its own."""
+    """A way to the goal: a path that stage 2 follows, or a policy.
+
+    Attributes:
+        text: name in tables.
+        dial: whether it takes an ℓ.
+        guided: whether it is a policy, without a path.
+    """
 
     text: str
     dial: bool
-    """Whether it takes an ℓ."""
     guided: bool = False
 
 
@@ -76,11 +80,11 @@ METHODS = {
     "modulator, candidates": Method(f"the same, best of {CANDIDATES}", dial=True),
     "oracle": Method("Dataset Oracle, executed", dial=True),
 }
-"""What is compared, in the order of the tables."""
+"""The compared methods, in the order of the tables."""
 
 
 class Metric(NamedTuple):
-    """A figure of a motion, and whether more of it is better."""
+    """A metric of a motion, and whether higher is better."""
 
     text: str
     higher: bool | None
@@ -92,16 +96,16 @@ METRICS = {
     "length_ratio": Metric("length over the straight line's", None),
     "achieved": Metric("achieved ℓ", True),
     "time_to_confidence": Metric("time to confidence", False),
-    "dragan_legibility": Metric("Dragan’s legibility", True),
+    "dragan_legibility": Metric("Dragan's legibility", True),
 }
-"""What is measured of each motion."""
+"""The metrics of a motion."""
 
 TESTED = ("distance_score", "potential_cost")
-"""The paper's two, on which the tests are made."""
+"""The paper's two metrics, which are tested."""
 
 
 class Job(NamedTuple):
-    """One motion: where, what for, with which ℓ, and the seeds that all methods share."""
+    """A motion to execute, with the seeds that all methods share."""
 
     scene: Scene
     target: int
@@ -111,7 +115,7 @@ class Job(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """An executed motion: its states `(T, D)` [m], whether it reached the goal, why it ended."""
+    """An executed motion: states `(T, D)` [m], success and end reason."""
 
     states: Array
     success: bool
@@ -121,12 +125,12 @@ class Motion(NamedTuple):
 def measured(states: Array, scene: Scene, archive: Archive, spacing: float) -> dict[str, float]:
     """`METRICS` of one motion `(T, D)` [m], its points a control step apart.
 
-    The two of the paper are sums over points: of the motion's points at equal `spacing` [m]. A
-    confidence that is never reached counts as reached at the end, 1.
+    The paper's two are sums over points, here at equal `spacing` [m] along the motion. A time to
+    confidence that is never reached counts as 1, the end.
     """
     field, target = archive.field, archive.target
     points = spaced(states, spacing)
-    confident = float(time_to_confidence(field.posterior(states), target, CONFIDENT))
+    confident = float(time_to_confidence(field.posterior(states), target))
     straight = np.linalg.norm(scene.target(target) - scene.start)
     score = archive.observer.score(resample(states, SCORE_POINTS), scene, target)
     return {
@@ -145,8 +149,8 @@ class Contest:
     Args:
         modulator: both stages; stage 2 follows the paths of all methods that have one.
         policies: the goal-conditioned baselines by the name of their method.
-        kind: of the environment.
-        sizes: curves that the two searches draw; measured by `calibrate` if not given.
+        kind: vector environment.
+        sizes: curves that the two searches draw; set by `calibrate` if not given.
     """
 
     def __init__(
@@ -174,10 +178,10 @@ class Contest:
         self.observer = modulator.config.observer
 
     def calibrate(self, scene: Scene, target: int) -> tuple[int, int]:
-        """Set how many curves the searches draw, if that is not given, and return it.
+        """Set the numbers of curves of the searches, unless they are given, and return them.
 
-        As many as they can in the time of a plan by the modulator with ℓ = 1 in `scene`, and in ten
-        times that, on one core.
+        They are as many as fit in the time that the modulator plans with ℓ = 1 in `scene`, and in
+        ten times that, on one core.
         """
         if self.sizes is None:
             with threads(1):
@@ -194,19 +198,19 @@ class Contest:
         return self.sizes
 
     def times(self, scene: Scene, target: int) -> dict[str, dict[str, float]]:
-        """Times [ms] on one core, by method: `plan`, before it can move, and `motion`, all in all.
+        """Median times [ms] on one core, by method: `plan`, before it can move, and `motion`, all.
 
-        Of one motion with ℓ = 1 in `scene`, the medians of several; the simulation does not count,
-        and the oracle's archive is given.
+        They are of one motion with ℓ = 1 in `scene`, without the simulation; the oracle, whose
+        archive is given, has none.
         """
-        found = {}
+        medians = {}
         with threads(1):
             for name in METHODS:
                 if name != "oracle":
                     times = [self._timed(name, scene, target, seed) for seed in range(6)][1:]
                     plan, motion = np.median(times, axis=0)
-                    found[name] = {"plan": float(plan), "motion": float(motion)}
-        return found
+                    medians[name] = {"plan": float(plan), "motion": float(motion)}
+        return medians
 
     def _timed(self, name: str, scene: Scene, target: int, seed: int) -> tuple[float, float]:
         job = Job(scene, target, 1.0, seed, seed)
@@ -222,12 +226,12 @@ class Contest:
         return 1e3 * planned, 1e3 * sum(driver.times)
 
     def paths(self, name: str, jobs: Sequence[Job], archives: Sequence[Archive]) -> list[Path]:
-        """A path for each of `jobs`; of a method that has none the straight line, not followed.
+        """A path for each of `jobs`; for a policy the straight line, which is not followed.
 
         Args:
             name: of the method.
             jobs: the motions.
-            archives: of each job's scene, from which the oracle takes its paths.
+            archives: of each job's scene, for the oracle.
         """
         if name == "oracle":
             return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]
@@ -257,14 +261,14 @@ class Contest:
         """Execute the jobs of every method in `work`, as many at once as fit.
 
         Args:
-            work: methods, their jobs, and the archives of the jobs' scenes, which the oracle sees.
+            work: methods, their jobs, and the archives of the jobs' scenes, for the oracle.
             each: of `pool`.
-            progress: called with the motions done and all of them.
+            progress: called with the number of finished motions and of all motions.
         """
         items: list[tuple[str, Sequence[Job], list[Path] | None]] = []
         places = []
         for number, (name, jobs, archives) in enumerate(work):
-            # Archives are large: the oracle looks its paths up before anything is sent.
+            # Archives are large: the oracle takes its paths before anything is sent.
             paths = self.paths(name, jobs, archives) if name == "oracle" else None
             for first in range(0, len(jobs), self.kind.at_once):
                 part = slice(first, first + self.kind.at_once)
@@ -272,9 +276,9 @@ class Contest:
                 places.append(number)
         done, total = 0, sum(len(jobs) for _, jobs, _ in work)
         parts: dict[int, list[Motion]] = {}
-        for index, found in each(self._moved, items):
-            parts[index] = found
-            done += len(found)
+        for index, executed in each(self._execute_item, items):
+            parts[index] = executed
+            done += len(executed)
             progress(done, total)
         motions: list[list[Motion]] = [[] for _ in work]
         for index, number in enumerate(places):
@@ -282,7 +286,7 @@ class Contest:
         return motions
 
     @threads(1)
-    def _moved(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
+    def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
         name, jobs, paths = item
         paths = paths or self.paths(name, jobs, [])
         rollouts = self._execute(jobs, paths, self._driver(name, jobs, jobs[0].plan_seed))
@@ -309,7 +313,7 @@ class Contest:
 
 
 class _Stopwatch:
-    """A driver that notes how long [s] each chunk took."""
+    """A driver that records the time [s] of each chunk."""
 
     def __init__(self, driver: Driver) -> None:
         self.driver, self.with_path = driver, driver.with_path
@@ -326,14 +330,14 @@ class _Stopwatch:
 def compare(cells: dict[str, dict[str, Array]]) -> list[dict[str, Any]]:
     """All paired tests of a table, with Holm's correction over all of them.
 
-    Every method is held against Diffusion Policy, and the modulator's rows against all others.
+    Every method is tested against Diffusion Policy, and the modulator's rows against all others.
 
     Args:
-        cells: by the name of a cell (a target and a metric, say) the values `(N,)` of each method,
-            paired; higher is better.
+        cells: by the name of a cell (such as a target and a metric) the paired values `(N,)` of
+            each method; higher is better.
 
     Returns:
-        Of each test `cell`, `method`, `against`, what `paired_test` says, `p_holm`.
+        For each test `cell`, `method`, `against`, the entries of `paired_test`, and `p_holm`.
     """
     tests = []
     for cell, methods in cells.items():

@@ -20,7 +20,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class DialConfig:
-    """What is evaluated.
+    """Settings of the evaluation.
 
     Attributes:
         scenes: random scenes of the evaluation stream.
@@ -28,12 +28,12 @@ class DialConfig:
         seed: of the scenes and of the plans.
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
-        candidates: paths drawn for the nearest of them, measured besides; 0 leaves it out.
+        candidates: paths of which the nearest is measured as well; 0 leaves it out.
         guidance: weight of classifier-free guidance at ±1; the model's own if not given.
         steps: of the sampler; the model's own if not given.
-        closed_loop: whether the paths are executed, each by a robot with hidden properties of its
-            own, and what is measured is the executed motion.
-        env: where they are executed, 2d, panda or pandagym; the default of the dimension if not
+        closed_loop: measure executed motions instead of paths, each by a robot with other hidden
+            properties.
+        env: environment of the execution, 2d, panda or pandagym; that of the dimension if not
             given.
     """
 
@@ -60,16 +60,16 @@ class DialConfig:
 
 @dataclass(frozen=True)
 class ExecutionConfig:
-    """What is evaluated.
+    """Settings of the evaluation.
 
     Attributes:
         scenes: random scenes of the evaluation stream.
         goals: least and most goals of a scene.
         seed: of the scenes, the plans and the environments.
-        rollouts: in all, the same number in each scene, ℓ uniform in [−1, 1].
+        rollouts: total number, the same in each scene, ℓ uniform in [−1, 1].
         disturbance: of a push or a shift of the target [m]; twice the largest displacement of a
             step if not given.
-        env: where, 2d, panda or pandagym; the default of the dimension if not given.
+        env: environment, 2d, panda or pandagym; that of the dimension if not given.
     """
 
     scenes: int = 200
@@ -93,14 +93,14 @@ class ExecutionConfig:
 
 @dataclass(frozen=True)
 class Table1Config:
-    """What is evaluated.
+    """Settings of the evaluation.
 
     Attributes:
-        env: where, 2d, panda or pandagym.
+        env: environment, 2d, panda or pandagym.
         rollouts: of each method toward either target.
         seed: of the plans, the actions and the robots' hidden properties.
-        search_candidates: curves that the search draws, and ten times that, in the time of a plan;
-            0 means as many as it can, which is measured first.
+        search_candidates: curves of the first search; the second draws ten times that. 0 means as
+            many as fit in the time of a plan, which is measured first.
     """
 
     env: str = "2d"
@@ -116,17 +116,17 @@ class Table1Config:
 
 @dataclass(frozen=True)
 class UnseenConfig:
-    """What is evaluated.
+    """Settings of the evaluation.
 
     Attributes:
-        env: where, 2d, panda or pandagym.
+        env: environment, 2d, panda or pandagym.
         scenes: random scenes of the evaluation stream.
         goals: least and most goals of a scene.
         rollouts: of each method in each scene with ℓ = 1.
-        levels: of ℓ from −1 to 1, a motion each, of the methods that take one.
+        levels: of ℓ from −1 to 1, a motion each, for methods that take an ℓ.
         seed: of the scenes, the plans, the actions and the robots' hidden properties.
-        search_candidates: curves that the search draws, and ten times that, in the time of a plan;
-            0 means as many as it can, which is measured first.
+        search_candidates: curves of the first search; the second draws ten times that. 0 means as
+            many as fit in the time of a plan, which is measured first.
     """
 
     env: str = "2d"
@@ -147,10 +147,10 @@ class UnseenConfig:
 
 @dataclass(frozen=True)
 class SpectrumConfig:
-    """What is evaluated.
+    """Settings of the evaluation.
 
     Attributes:
-        env: where, 2d, panda or pandagym.
+        env: environment, 2d, panda or pandagym.
         levels: of ℓ at equal steps from −1 to 1.
         rollouts: at each level toward either target.
         seed: of the plans, the actions and the robots' hidden properties.
@@ -169,7 +169,7 @@ class SpectrumConfig:
 
 @dataclass(frozen=True)
 class AblationsConfig:
-    """What is evaluated and how the small runs are trained.
+    """Settings of the evaluation and of the small runs.
 
     Attributes:
         scenes: random scenes of the evaluation stream.
@@ -177,11 +177,11 @@ class AblationsConfig:
         seed: of the scenes and of the plans.
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
-        sampling_steps: of the sampler, each on the weights as they are.
-        guidance: weights of classifier-free guidance at ±1, each on the weights as they are.
+        sampling_steps: of the sampler, each with the shipped weights.
+        guidance: weights of classifier-free guidance at ±1, each with the shipped weights.
         training_steps: optimiser steps of each small run.
-        training_scenes: scenes that small runs are trained on.
-        scene_numbers: other numbers of scenes, of a small run each.
+        training_scenes: scenes of the small runs' training.
+        scene_numbers: other numbers of scenes, a small run each.
     """
 
     scenes: int = 50

@@ -1,4 +1,4 @@
-"""How exact the dial is: asked against achieved label on scenes that training never drew."""
+"""The exactness of the dial: asked against achieved label on held-out scenes."""
 
 from __future__ import annotations
 
@@ -21,46 +21,54 @@ from ..seeds import plan_seeds
 from .configuration import DialConfig
 from .statistics import rank_correlation, summary
 
-__all__ = ["FIGURES", "evaluate_dial", "worst"]
+__all__ = ["METRICS", "evaluate_dial", "worst"]
 
 
-class Figure(NamedTuple):
-    """What a figure means, and the value nearest to which is best (±inf: the higher or lower)."""
+class Metric(NamedTuple):
+    """A metric of the dial.
+
+    Attributes:
+        text: its meaning.
+        best: the value nearest to which is best; ±inf if higher or lower is better.
+    """
 
     text: str
     best: float | None
 
 
-FIGURES = {
-    "spearman": Figure("Spearman correlation of asked and achieved ℓ", np.inf),
-    "error": Figure("mean absolute error of the achieved ℓ", -np.inf),
-    "error_candidates": Figure("the same, with candidates", -np.inf),
-    "at_1": Figure("achieved ℓ when asked 1", 1.0),
-    "at_0": Figure("achieved ℓ when asked 0", 0.0),
-    "at_-1": Figure("achieved ℓ when asked −1", -1.0),
-    "length_ratio_at_0": Figure("length over the straight line's when asked 0", 1.0),
-    "inside": Figure("share of curves inside the workspace", np.inf),
-    "drawn_inside": Figure("the same, before curves are brought back to its walls", np.inf),
-    "beyond_archive": Figure(
-        "share of paths asked for ±1 that are beyond the archive's best", None
-    ),
-    "turning": Figure("angle that paths asked for ±1 turn through [rad]", None),
-    "wrong_order": Figure("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
-    "spread": Figure("standard deviation of the achieved ℓ among samples of a level", None),
-    "success": Figure("share of rollouts that reached the target", np.inf),
-    "deviation": Figure("mean distance from the planned curve over its length", -np.inf),
+METRICS = {
+    "spearman": Metric("Spearman correlation of asked and achieved ℓ", np.inf),
+    "error": Metric("mean absolute error of the achieved ℓ", -np.inf),
+    "error_candidates": Metric("the same, with candidates", -np.inf),
+    "at_1": Metric("achieved ℓ when asked 1", 1.0),
+    "at_0": Metric("achieved ℓ when asked 0", 0.0),
+    "at_-1": Metric("achieved ℓ when asked −1", -1.0),
+    "length_ratio_at_0": Metric("length over the straight line's when asked 0", 1.0),
+    "inside": Metric("share of curves inside the workspace", np.inf),
+    "drawn_inside": Metric("the same, before curves are brought back to its walls", np.inf),
+    "beyond_archive": Metric("share of paths asked for ±1 beyond the archive's best", None),
+    "turning": Metric("angle that paths asked for ±1 turn through [rad]", None),
+    "wrong_order": Metric("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
+    "spread": Metric("standard deviation of the achieved ℓ among samples of a level", None),
+    "success": Metric("share of rollouts that reached the target", np.inf),
+    "deviation": Metric("mean distance from the planned curve over its length", -np.inf),
 }
-"""What is measured of each scene; the last two of executed motions only, some of plans only."""
+"""The metrics of a scene; the last two are of executed motions only, some of plans only."""
 
 
-def worst(name: str, figures: dict[str, float]) -> float | None:
-    """The worst scene's value of a figure, None if neither way is better."""
-    best = FIGURES[name].best
+def worst(name: str, values: dict[str, float]) -> float | None:
+    """The worst scene's value of a metric, None if neither way is better.
+
+    Args:
+        name: of the metric.
+        values: its `min` and `max` over the scenes.
+    """
+    best = METRICS[name].best
     if best is None:
         return None
     if np.isinf(best):
-        return figures["min" if best > 0 else "max"]
-    return max((figures["min"], figures["max"]), key=lambda value: abs(value - best))
+        return values["min" if best > 0 else "max"]
+    return max((values["min"], values["max"]), key=lambda value: abs(value - best))
 
 
 def evaluate_dial(
@@ -73,37 +81,37 @@ def evaluate_dial(
 ) -> dict[str, Any]:
     """Measure the dial of `modulator` on fresh random scenes.
 
-    The figures are the same for any number of workers; a scene is measured on one thread.
+    The metrics do not depend on the number of workers; a scene is measured on one thread.
 
     Args:
-        modulator: what is measured.
-        config: how.
+        modulator: the model.
+        config: of the evaluation.
         workers: processes on this machine.
         cluster: a Dask cluster, see `pool`.
         progress: called with the scenes done and all of them.
 
     Returns:
-        `overall`: each of `FIGURES` with mean over scenes, 95 % interval, worst and best;
-        `scenes`: the same of each scene, its number of goals and what was achieved at each level;
-        `levels`: the levels asked; `plan_ms`: the time of one plan on one core of this machine,
-        before there is other work; `env`, of a closed loop: where.
+        `overall`: each of `METRICS` with mean over scenes, 95 % interval, worst and best;
+        `scenes`: the same of each scene, its number of goals and the labels achieved at each level;
+        `levels`: the asked levels; `plan_ms`: the time of one plan on one core of this machine,
+        before other work starts; `env`: the environment of a closed loop.
     """
     config = config or DialConfig()
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
     source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
     levels = np.round(np.linspace(-1, 1, config.levels), 12)
     measure = partial(_measure, modulator, source, levels, config)
-    found: dict[int, dict[str, Any]] = {}
-    with pool(workers, cluster) as each:
+    by_scene: dict[int, dict[str, Any]] = {}
+    with pool(workers, cluster) as work:
         plan_ms = plan_milliseconds(
             modulator, source.scene(0), guidance=config.guidance, steps=config.steps
         )
         progress(0, config.scenes)
-        for index, row in each(measure, range(config.scenes)):
-            found[index] = row
-            progress(len(found), config.scenes)
-    rows = [found[index] for index in range(config.scenes)]
-    names = [name for name in FIGURES if name in rows[0]]
+        for index, row in work(measure, range(config.scenes)):
+            by_scene[index] = row
+            progress(len(by_scene), config.scenes)
+    rows = [by_scene[index] for index in range(config.scenes)]
+    names = [name for name in METRICS if name in rows[0]]
     world = {"env": kind.__name__.removesuffix("Vector")} if kind else {}
     return {
         **world,
@@ -126,28 +134,28 @@ def _measure(
     path = modulator.plan(scene, 0, asked, seed=seed, **options)
     zero = np.abs(asked) == np.abs(levels).min()
     if config.closed_loop:
-        score, curves, figures = _executed(modulator, path, seed, config.env)
+        score, curves, metrics = _executed(modulator, path, seed, config.env)
     else:
         score, curves = path.score, path.trajectory(200)
         ends = np.abs(asked) == 1
-        figures = {
+        metrics = {
             "drawn_inside": float(1 - np.mean(path.clipped)),
             "turning": float(turning(curves[ends]).mean()),
         }
         if config.candidates:
-            # Chosen by an archive of the modulator's own, as a user's are; judged by this one.
+            # The modulator chooses by its own archive, as for a user; this one is the judge.
             nearest = modulator.plan(
                 scene, 0, levels, seed=seed, num_candidates=config.candidates, **options
             )
-            found = archive.label_of(nearest.score)
-            figures["error_candidates"] = float(np.abs(found - levels).mean())
+            labels = archive.label_of(nearest.score)
+            metrics["error_candidates"] = float(np.abs(labels - levels).mean())
     achieved = archive.label_of(score)
     table = achieved.reshape(len(levels), config.samples)
     means = table.mean(axis=1)
     length = arc_length(curves) / np.linalg.norm(scene.goals[0] - scene.start)
     scores = score.reshape(table.shape)
     beyond = np.concatenate([scores[0] < archive.scores.min(), scores[-1] > archive.scores.max()])
-    figures |= {
+    metrics |= {
         "spearman": rank_correlation(asked, achieved),
         "error": float(np.abs(achieved - asked).mean()),
         "at_-1": float(means[0]),
@@ -165,13 +173,13 @@ def _measure(
         "drawn_inside_by_level": 1 - path.clipped.reshape(table.shape).mean(axis=1),
     }
     listed = {name: values.tolist() for name, values in by_level.items()}
-    return {"scene": index, "goals": scene.num_goals, **figures, **listed}
+    return {"scene": index, "goals": scene.num_goals, **metrics, **listed}
 
 
 def _executed(
     modulator: Modulator, path: Path, seed: int, name: str | None
 ) -> tuple[Array, Array, dict[str, float]]:
-    """Scores `(B,)` and curves `(B, T, D)` [m] of the executed paths, and how well they went."""
+    """Scores `(B,)` and curves `(B, T, D)` [m] of the executed paths, and their metrics."""
     kind = vector_type(name, path.scene.dim)
     size, rollouts = len(path.waypoints), []
     for first in range(0, size, kind.at_once):
@@ -183,12 +191,12 @@ def _executed(
         )
         env.close()
     off = [r.deviation.mean() for r in rollouts] / path.length
-    figures = {
+    metrics = {
         "success": float(np.mean([r.success for r in rollouts])),
         "deviation": float(np.mean(off)),
     }
     score = np.array([r.score for r in rollouts])
-    return score, np.stack([r.trajectory(200) for r in rollouts]), figures
+    return score, np.stack([r.trajectory(200) for r in rollouts]), metrics
 
 
 @threads(1)

@@ -1,4 +1,4 @@
-"""What becomes of plans in the world: rollouts on scenes that training never drew."""
+"""Closed-loop execution of plans on held-out scenes."""
 
 from __future__ import annotations
 
@@ -34,14 +34,20 @@ __all__ = ["ROWS", "evaluate_execution"]
 
 
 class Row(NamedTuple):
-    """What is compared: who moves the robot, and what is done to it on its way."""
+    """A controller and its conditions.
+
+    Attributes:
+        text: name in tables.
+        driver: the controller.
+        disturbance: `push` or `shift`, an option of the environment.
+        replan: whether the robot may replan; one without feedback from the path is off it by
+            design.
+    """
 
     text: str
     driver: str
     disturbance: str | None = None
-    """`push` or `shift`, an option of the environment."""
     replan: bool = True
-    """What does not follow a path in closed loop is off it by design, and plans no other."""
 
 
 ROWS = {
@@ -56,7 +62,7 @@ ROWS = {
     "feedback": Row("the feedback controller that demonstrated", "feedback"),
     "feedback, pushed": Row("the same, pushed once", "feedback", "push"),
 }
-"""What is compared, and what it is."""
+"""The rows of the table, by name."""
 
 _DISTURBANCE = 2.0
 _NEAR = 0.05
@@ -70,28 +76,28 @@ def evaluate_execution(
     cluster: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Execute plans of `modulator` by stage 2 and by what it is compared with.
+    """Execute plans of `modulator` by stage 2 and by the controllers that it is compared with.
 
-    Every row of `ROWS` has the same scenes, levels, plans, hidden gains, lags and disturbances. Its
-    figures are the same for any number of workers, each of which works on one thread.
+    Every row of `ROWS` has the same scenes, levels, plans, hidden gains, lags and disturbances. The
+    metrics do not depend on the number of workers, each of which runs on one thread.
 
     Args:
-        modulator: what is measured.
-        config: how.
+        modulator: the model, with both stages.
+        config: of the evaluation.
         workers: processes on this machine.
         cluster: a Dask cluster, see `pool`.
         progress: called with the scenes and rollouts done and all of them.
 
     Returns:
-        `rows`: of each of `ROWS` its success with interval, the reasons of the ends, what was
-        achieved against what was asked (of all rollouts, however they ended; not where the target
-        moved, as its label would be another scene's), the deviation from the curve that was
-        followed at the time over the length of the first, violations, what else was counted;
+        `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ (of
+        all rollouts, however they ended; not where the target moved, because that label would
+        belong to another scene), the deviation from the curve followed at the time over the length
+        of the first curve, violations, and the environment's counts;
         `step_ms`: a control step of one robot on one core, policy included, amortised over a chunk;
         `rollouts_per_second`: of stage 2, planning included, the first `at_once` robots on
         `threads` threads; `env_steps_per_second`: of the environment alone, as many robots, on one
-        core; these three of this machine, before there is other work;
-        `env`, `disturbance`: where, and of how many metres.
+        core; these three before other work starts;
+        `env`; `disturbance` [m].
     """
     config = config or ExecutionConfig()
     policy = modulator.path_policy
@@ -108,7 +114,7 @@ def evaluate_execution(
     disturbance = _DISTURBANCE * limit if config.disturbance is None else config.disturbance
     at_once = min(kind.at_once, config.rollouts)
     batches = range(0, config.rollouts, at_once)
-    each = np.repeat(np.arange(config.scenes), config.rollouts // config.scenes)
+    scene_of = np.repeat(np.arange(config.scenes), config.rollouts // config.scenes)
     draw = stream_seed("evaluation", config.seed, 0, "plan")
     levels = np.random.default_rng(draw).uniform(-1, 1, config.rollouts)
     total, done = config.scenes + len(ROWS) * config.rollouts, 0
@@ -118,13 +124,13 @@ def evaluate_execution(
 
     def ended(task: _Task, rollouts: list[Rollout]) -> None:
         nonlocal done
-        found = parts[task.row]
-        found[task.first] = rollouts
+        batch = parts[task.row]
+        batch[task.first] = rollouts
         done += len(rollouts)
         progress(done, total)
-        if len(found) == len(batches):
-            whole = [rollout for first in batches for rollout in found.pop(first)]
-            rows[task.row] = _figures(whole, levels, each, archives, limit)
+        if len(batch) == len(batches):
+            whole = [rollout for first in batches for rollout in batch.pop(first)]
+            rows[task.row] = _metrics(whole, levels, scene_of, archives, limit)
 
     with pool(workers, cluster) as work:
         step_ms = step_milliseconds(modulator, source.scene(0), kind)
@@ -135,26 +141,26 @@ def evaluate_execution(
             archives[index] = archive
             done += 1
             progress(done, total)
-        scenes = [archives[i].scene for i in each.tolist()]
+        scenes = [archives[i].scene for i in scene_of.tolist()]
         course = _Course(modulator, config, kind, disturbance, scenes, levels, at_once)
         # The plans of the first row are those of all.
         name, *others = ROWS
         tasks = [_Task(name, first) for first in batches]
         started = time.perf_counter()
-        found = course.rollouts(tasks[0])
-        speed = len(found) / (time.perf_counter() - started)
-        plans = {0: [rollout.path for rollout in found]}
-        ended(tasks.pop(0), found)
-        for index, found in work(course.rollouts, tasks):
-            plans[tasks[index].first] = [rollout.path for rollout in found]
-            ended(tasks[index], found)
+        rollouts = course.rollouts(tasks[0])
+        speed = len(rollouts) / (time.perf_counter() - started)
+        plans = {0: [rollout.path for rollout in rollouts]}
+        ended(tasks.pop(0), rollouts)
+        for index, rollouts in work(course.rollouts, tasks):
+            plans[tasks[index].first] = [rollout.path for rollout in rollouts]
+            ended(tasks[index], rollouts)
         tasks = [_Task(name, first, plans[first]) for name in others for first in batches]
-        for index, found in work(course.rollouts, tasks):
-            ended(tasks[index], found)
+        for index, rollouts in work(course.rollouts, tasks):
+            ended(tasks[index], rollouts)
     for name, row in ROWS.items():
         if row.disturbance == "shift":
-            for figure in ("spearman", "error", "within_5_cm"):
-                del rows[name][figure]
+            for metric in ("spearman", "error", "within_5_cm"):
+                del rows[name][metric]
     return {
         "rows": {name: rows[name] for name in ROWS},
         "step_ms": step_ms,
@@ -175,7 +181,7 @@ def _scores_of(source: SceneStream, observer: Observer, index: int) -> Archive:
 
 
 class _Task(NamedTuple):
-    """Rollouts of a row, from the first of them on, `at_once`; on plans, or planned."""
+    """The rollouts of a row from `first` on, `at_once` of them, on `paths` or on new plans."""
 
     row: str
     first: int
@@ -184,7 +190,7 @@ class _Task(NamedTuple):
 
 @dataclass(frozen=True)
 class _Course:
-    """What all rows have in common: the scene and the level of each rollout, and who executes."""
+    """The scene and the level of each rollout, which all rows share, and the model."""
 
     modulator: Modulator
     config: ExecutionConfig
@@ -224,23 +230,23 @@ class _Course:
         return drivers[name]()
 
 
-def _figures(
+def _metrics(
     rollouts: list[Rollout],
     levels: Array,
-    each: NDArray[np.intp],
+    scene_of: NDArray[np.intp],
     archives: dict[int, Archive],
     limit: float,
 ) -> dict[str, Any]:
     success = np.array([r.success for r in rollouts])
     achieved, planned = (
-        np.array([archives[i].label_of(x) for i, x in zip(each.tolist(), scores, strict=True)])
+        np.array([archives[i].label_of(x) for i, x in zip(scene_of.tolist(), scores, strict=True)])
         for scores in ([r.score for r in rollouts], [float(r.path.score) for r in rollouts])
     )
-    own = [each == i for i in range(len(archives))]
+    by_scene = [scene_of == i for i in range(len(archives))]
     # A rollout with a new plan deviates from the path that it followed at the time.
     deviation = np.array([r.deviation.mean() for r in rollouts])
     lengths = np.array([r.path.length for r in rollouts])
-    shares = np.array([success[o].mean() for o in own])
+    shares = np.array([success[s].mean() for s in by_scene])
     actions = np.concatenate([r.actions for r in rollouts])
     states = np.concatenate([r.states for r in rollouts])
     low, high = rollouts[0].path.scene.workspace
@@ -251,13 +257,13 @@ def _figures(
         "success": {"mean": float(success.mean()), "interval": _interval(success, shares)},
         "within_5_cm": float((np.linalg.norm(ends - goals, axis=-1) <= _NEAR).mean()),
         "reasons": dict(Counter(r.reason for r in rollouts)),
-        "spearman": summary(np.array([rank_correlation(levels[o], achieved[o]) for o in own])),
-        "error": summary(np.array([np.abs(achieved - levels)[o].mean() for o in own])),
+        "spearman": summary(np.array([rank_correlation(levels[s], achieved[s]) for s in by_scene])),
+        "error": summary(np.array([np.abs(achieved - levels)[s].mean() for s in by_scene])),
         "spearman_of_plan": summary(
-            np.array([rank_correlation(levels[o], planned[o]) for o in own])
+            np.array([rank_correlation(levels[s], planned[s]) for s in by_scene])
         ),
-        "error_of_plan": summary(np.array([np.abs(planned - levels)[o].mean() for o in own])),
-        "deviation": summary(np.array([(deviation / lengths)[o].mean() for o in own])),
+        "error_of_plan": summary(np.array([np.abs(planned - levels)[s].mean() for s in by_scene])),
+        "deviation": summary(np.array([(deviation / lengths)[s].mean() for s in by_scene])),
         "steps": float(np.mean([len(r.actions) for r in rollouts])),
         "replanned": float(np.mean([len(r.replans) > 0 for r in rollouts])),
         "wall_contacts": sum(r.wall_contacts for r in rollouts),

@@ -1,4 +1,4 @@
-"""The spectrum measured: motions of rising legibility and what they cost (paper, fig. 3)."""
+"""The spectrum: motions of rising legibility and their cost (paper, fig. 3)."""
 
 from __future__ import annotations
 
@@ -61,18 +61,18 @@ def evaluate_spectrum(
             env.close()
             progress(done + len(rollouts), total)
         done += len(each)
-        own = Spectrum.of(rollouts, place.spacing)
-        means = own.costs.mean(axis=1)
-        achieved = np.reshape([r.achieved for r in rollouts], own.costs.shape)
+        spectrum = Spectrum.of(rollouts)
+        means = spectrum.costs.mean(axis=1)
+        achieved = np.reshape([r.achieved for r in rollouts], spectrum.costs.shape)
         targets[letter] = {
-            "costs": own.costs,
+            "costs": spectrum.costs,
             "mean": means,
-            "interval": [bootstrap_interval(row) for row in own.costs],
+            "interval": [bootstrap_interval(row) for row in spectrum.costs],
             "achieved": achieved.mean(axis=1),
-            "states": own.motions,
+            "states": spectrum.motions,
             "success": float(np.mean([r.success for r in rollouts])),
             "rising": int((np.diff(means) > 0).sum()),
-            "angles": own.angles,
+            "angles": spectrum.angles,
         }
     return {
         "env": kind.__name__.removesuffix("Vector"),
@@ -90,7 +90,7 @@ class Spectrum:
 
     Attributes:
         scene: the scene.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         field: the observer.
         levels: ℓ `(L,)`, rising.
         motions: one of each level, `(T, D)` [m].
@@ -107,8 +107,8 @@ class Spectrum:
     angles: Array
 
     @classmethod
-    def of(cls, rollouts: Sequence[Rollout], spacing: float) -> Spectrum:
-        """Of motions in one scene; L_p is of points `spacing` [m] apart.
+    def of(cls, rollouts: Sequence[Rollout]) -> Spectrum:
+        """Of motions in one scene; L_p is of points as far apart as in Table I.
 
         Raises:
             InvalidInputError: there are none, or not as many of each level.
@@ -122,6 +122,7 @@ class Spectrum:
             raise InvalidInputError(
                 f"a spectrum needs as many motions of each level, got {counts.tolist()}"
             )
+        spacing = SCENES[path.scene.dim].spacing
         costs = [
             potential_cost(spaced(r.states, spacing), path.field, path.target) for r in rollouts
         ]
@@ -133,10 +134,10 @@ class Spectrum:
 
     @classmethod
     def of_result(cls, result: dict[str, Any], letter: str) -> Spectrum:
-        """Of what `evaluate_spectrum` returned, or its JSON, toward target R or G."""
-        scene, own = Scene.from_dict(result["scene"]), result["targets"][letter]
+        """The spectrum toward target R or G in the result of `evaluate_spectrum` or its JSON."""
+        scene, values = Scene.from_dict(result["scene"]), result["targets"][letter]
         return cls(
             scene, TARGETS[letter], Observer(**result["observer"]).field(scene),
-            np.array(result["levels"]), [np.array(s) for s in own["states"]],
-            np.array(own["costs"]), np.array(own["angles"]),
+            np.array(result["levels"]), [np.array(s) for s in values["states"]],
+            np.array(values["costs"]), np.array(values["angles"]),
         )  # fmt: skip

@@ -8,21 +8,15 @@ from typing import Any
 import numpy as np
 
 from ..checks import Array
-from ..intent.belief import time_to_confidence
 
 __all__ = [
-    "CONFIDENT",
     "bootstrap_interval",
-    "clear_step",
     "holm",
     "paired_test",
     "rank_correlation",
     "share_interval",
     "summary",
 ]
-
-CONFIDENT = 0.8
-"""From this P(target) on, held for good, the intent is clear."""
 
 
 def bootstrap_interval(
@@ -35,7 +29,7 @@ def bootstrap_interval(
     if len(values) < 2 or np.ptp(values) == 0:
         only = float(statistic(values))
         return only, only
-    found = bootstrap(
+    interval = bootstrap(
         (values,),
         statistic,
         confidence_level=level,
@@ -43,13 +37,7 @@ def bootstrap_interval(
         n_resamples=4000,
         rng=np.random.default_rng(0),
     ).confidence_interval
-    return float(found.low), float(found.high)
-
-
-def clear_step(posterior: Array, target: int) -> int | None:
-    """From which state of `posterior (T, G)` on the intent is clear; None if it never is."""
-    share = float(time_to_confidence(posterior, target, CONFIDENT))
-    return round(share * (len(posterior) - 1)) if np.isfinite(share) else None
+    return float(interval.low), float(interval.high)
 
 
 def paired_test(first: Array, second: Array) -> dict[str, float | list[float]]:
@@ -65,13 +53,13 @@ def paired_test(first: Array, second: Array) -> dict[str, float | list[float]]:
     from scipy.stats import rankdata, wilcoxon
 
     difference = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
-    # What differs by rounding alone is equal.
+    # Differences of rounding count as equal.
     scale = np.maximum(np.abs(first), np.abs(second))
     apart = difference[np.abs(difference) > 1e-12 * scale]
     p, effect = 1.0, 0.0
     if len(apart):
-        found: Any = wilcoxon(apart)
-        p = float(found.pvalue)
+        test: Any = wilcoxon(apart)
+        p = float(test.pvalue)
         ranks = rankdata(np.abs(apart))
         effect = float((ranks * np.sign(apart)).sum() / ranks.sum())
     return {
@@ -87,16 +75,16 @@ def holm(p_values: Array) -> Array:
     p_values = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p_values)
     adjusted = np.maximum.accumulate(p_values[order] * np.arange(len(order), 0, -1))
-    found = np.empty_like(adjusted)
-    found[order] = np.minimum(adjusted, 1)
-    return found
+    result = np.empty_like(adjusted)
+    result[order] = np.minimum(adjusted, 1)
+    return result
 
 
 def rank_correlation(asked: Array, achieved: Array) -> float:
     """Spearman's correlation of two arrays `(N,)`; 0 where one of them is constant."""
     from scipy.stats import rankdata
 
-    # Rounded, so that what differs by rounding alone is a tie.
+    # Rounded, so that differences of rounding are ties.
     ranks = np.stack([rankdata(np.round(x, 9)) for x in (asked, achieved)])
     ranks -= ranks.mean(axis=1, keepdims=True)
     norms = np.linalg.norm(ranks, axis=1)
@@ -107,8 +95,8 @@ def share_interval(happened: np.ndarray, level: float = 0.95) -> tuple[float, fl
     """Exact interval (Clopper & Pearson 1934) of the share of `happened (N,)` bool."""
     from scipy.stats import binomtest
 
-    found = binomtest(int(happened.sum()), len(happened)).proportion_ci(level, method="exact")
-    return float(found.low), float(found.high)
+    interval = binomtest(int(happened.sum()), len(happened)).proportion_ci(level, method="exact")
+    return float(interval.low), float(interval.high)
 
 
 def summary(values: Array) -> dict[str, float | list[float]]:

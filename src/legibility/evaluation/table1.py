@@ -1,4 +1,4 @@
-"""The paper's Table I: the most legible motion of each method, in its scene, for either goal."""
+"""The paper's Table I: the most legible motions of each method toward either goal of its scene."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ TARGETS = {"R": 0, "G": 1}
 
 
 class TableScene(NamedTuple):
-    """A scene of the table and how its motions are read.
+    """A scene of the table and the units of its metrics.
 
     Attributes:
         scene: two goals, R and G.
-        spacing: between the points of which the paper's two figures are sums [m].
-        unit: length of a metre of ours in the table's L_d.
+        spacing: between the points that the paper's two metrics sum over [m].
+        unit: length of one metre in the table's L_d.
     """
 
     scene: Scene
@@ -64,23 +64,22 @@ def evaluate_table1(
 ) -> dict[str, Any]:
     """Execute every method with ℓ = 1 in the table's scene, toward R and toward G.
 
-    Rollouts are paired: the n-th of each method has the same robot and the same seeds. The figures
-    are the same for any number of workers.
+    Rollouts are paired: the n-th of each method has the same robot and the same seeds. The metrics
+    do not depend on the number of workers.
 
     Args:
         modulator: both stages.
         policies: the baselines by the name of their method.
-        config: how.
+        config: of the evaluation.
         workers: processes on this machine.
         cluster: a Dask cluster, see `pool`.
-        progress: called with the motions done and all of them.
+        progress: called with the number of finished motions and of all motions.
 
     Returns:
-        `methods`: of each its time per plan and, toward either target, success with interval, the
-        reasons of the ends, each of `METRICS` with mean and interval, and all values of those that
-        are tested; `oracle`: the
-        same figures of the archive's most legible trajectory itself, not executed; `tests`: see
-        `compare`; `search`: curves that the two searches drew.
+        `methods`: for each its times and, toward either target, success with interval, end reasons,
+        `METRICS` with mean and interval, and all values of the tested ones; `oracle`: the metrics
+        of the archive's most legible trajectory itself, not executed; `tests`: see `compare`;
+        `search`: number of curves that the two searches drew.
     """
     config = config or Table1Config()
     kind = vector_type(config.env, modulator.config.dim)
@@ -106,13 +105,13 @@ def evaluate_table1(
         best = archive.trajectories[archive.nearest(1.0)]
         oracle[letter] = _scaled(measured(best, place.scene, archive, place.spacing), place.unit)
         for name in METHODS:
-            own = next(motions)
+            executed = next(motions)
             rows = [
                 _scaled(measured(m.states, place.scene, archive, place.spacing), place.unit)
-                for m in own
+                for m in executed
             ]
             values = {metric: np.array([row[metric] for row in rows]) for metric in METRICS}
-            methods[name]["targets"][letter] = _figures(own, values)
+            methods[name]["targets"][letter] = _metrics(executed, values)
             for metric in TESTED:
                 sign = 1 if METRICS[metric].higher else -1
                 cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
@@ -128,25 +127,25 @@ def evaluate_table1(
     }
 
 
-def _figures(motions: list[Motion], values: dict[str, Array]) -> dict[str, Any]:
+def _metrics(motions: list[Motion], values: dict[str, Array]) -> dict[str, Any]:
     success = np.array([motion.success for motion in motions])
-    figures: dict[str, Any] = {
+    metrics: dict[str, Any] = {
         "success": {"mean": float(success.mean()), "interval": share_interval(success)},
         "reasons": dict(Counter(motion.reason for motion in motions)),
     }
-    for metric, found in values.items():
-        figures[metric] = {"mean": float(found.mean()), "interval": bootstrap_interval(found)}
-        if metric in TESTED:
-            figures[metric]["values"] = [float(f"{x:.6g}") for x in found]
-    return figures
+    for name, array in values.items():
+        metrics[name] = {"mean": float(array.mean()), "interval": bootstrap_interval(array)}
+        if name in TESTED:
+            metrics[name]["values"] = [float(f"{x:.6g}") for x in array]
+    return metrics
 
 
-def _scaled(figures: dict[str, float], unit: float) -> dict[str, float]:
-    return {**figures, "distance_score": unit * figures["distance_score"]}
+def _scaled(metrics: dict[str, float], unit: float) -> dict[str, float]:
+    return {**metrics, "distance_score": unit * metrics["distance_score"]}
 
 
 def paper_rows(dim: int) -> dict[str, dict[str, float | None]]:
-    """The paper's own Table I: by the name of a method its figures, `success_rate`, `L_d_R`, ….
+    """The paper's own Table I: by the name of a method its numbers, `success_rate`, `L_d_R`, ….
 
     Raises:
         InvalidInputError: the dimension is neither 2 nor 3.

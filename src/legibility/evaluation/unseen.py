@@ -1,4 +1,4 @@
-"""The comparison on scenes that training never drew: the most legible motions, and the dial."""
+"""The comparison on held-out scenes: the most legible motions, and the dial."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .table1 import SCENES
 __all__ = ["evaluate_unseen"]
 
 _LEAST = {"distance_score": 0.0, "potential_cost": 1e-9}
-"""A figure below it counts as that much: the clearest scenes leave nothing to compare."""
+"""Lower bounds of the metrics: in the clearest scenes nothing is left to compare."""
 
 
 def evaluate_unseen(
@@ -37,23 +37,22 @@ def evaluate_unseen(
 ) -> dict[str, Any]:
     """Execute every method in the same random scenes.
 
-    The figures are the same for any number of workers.
+    The metrics do not depend on the number of workers.
 
     Args:
         modulator: both stages.
         policies: the baselines by the name of their method.
-        config: how.
+        config: of the evaluation.
         workers: processes on this machine.
         cluster: a Dask cluster, see `pool`.
-        progress: called with the motions done and all of them.
+        progress: called with the number of finished motions and of all motions.
 
     Returns:
-        `methods`: of each its success with interval; each of `METRICS` as a summary over scenes of
-        the scene's mean; `ratio`, of L_d and L_p the median over scenes of the ratio to that of
-        the scene's oracle (its archive's most legible trajectory, not executed), with interval, and
-        all of them; of those with a dial, `spearman` and `error` of the executed ℓ; `goals`: of
-        each scene; `tests`: see `compare`, paired by scene; `search`: curves that the two searches
-        drew.
+        `methods`: for each its success with interval; `METRICS`, each as a summary of the scenes'
+        means; `ratio`: of L_d and L_p the ratio to the scene's oracle (its archive's most legible
+        trajectory, not executed), its median over scenes with interval, and all values; for methods
+        with a dial, `spearman` and `error` of the executed ℓ; `goals`: number in each scene;
+        `tests`: see `compare`, paired by scene; `search`: number of curves of the two searches.
     """
     config = config or UnseenConfig()
     kind = vector_type(config.env, modulator.config.dim)
@@ -76,24 +75,24 @@ def evaluate_unseen(
                 work.append((name, *_jobs(archives, each_level, config.seed, part)))
                 kinds.append((name, part))
     with pool(workers, cluster) as each:
-        found = dict(zip(kinds, contest.motions(work, each, progress), strict=True))
+        executed = dict(zip(kinds, contest.motions(work, each, progress), strict=True))
     methods: dict[str, Any] = {}
     cells: dict[str, dict[str, Array]] = {}
     for name, method in METHODS.items():
         rows: dict[str, Array] = {}
         success = np.empty(0)
         for part, levels_asked in asked.items():
-            motions = found.get((name, part), [])
+            motions = executed.get((name, part), [])
             if not motions:
                 continue
-            own = np.repeat(np.arange(config.scenes), len(levels_asked))
-            figures = [
+            scene_of = np.repeat(np.arange(config.scenes), len(levels_asked))
+            metrics = [
                 measured(m.states, archives[i].scene, archives[i], spacing)
-                for m, i in zip(motions, own, strict=True)
+                for m, i in zip(motions, scene_of, strict=True)
             ]
             shape = config.scenes, len(levels_asked)
             for metric in METRICS:
-                rows[f"{part} {metric}"] = np.reshape([f[metric] for f in figures], shape)
+                rows[f"{part} {metric}"] = np.reshape([m[metric] for m in metrics], shape)
             success = np.append(success, [m.success for m in motions])
         methods[name] = {
             "success": {"mean": float(success.mean()), "interval": share_interval(success)},
@@ -102,8 +101,8 @@ def evaluate_unseen(
         }
         for metric in TESTED:
             least = _LEAST[metric]
-            own_values = np.maximum(rows[f"legible {metric}"].mean(axis=1), least)
-            ratio = own_values / np.maximum([o[metric] for o in oracle], least)
+            values = np.maximum(rows[f"legible {metric}"].mean(axis=1), least)
+            ratio = values / np.maximum([o[metric] for o in oracle], least)
             methods[name]["ratio"][metric] = {
                 "median": float(np.median(ratio)),
                 "interval": bootstrap_interval(ratio, np.median),
@@ -131,12 +130,12 @@ def evaluate_unseen(
 def _jobs(
     archives: list[Archive], levels: Array, seed: int, part: str
 ) -> tuple[list[Job], list[Archive]]:
-    """A motion in each scene for each level, and each one's archive."""
-    jobs, own = [], []
+    """A motion in each scene for each level, and its archive."""
+    jobs, archive_of = [], []
     kind = "plan" if part == "legible" else "demonstration"
     for index, archive in enumerate(archives):
         seeds = iter(plan_seeds(seed, index, 2 * len(levels), kind))
         for level in levels.tolist():
             jobs.append(Job(archive.scene, 0, level, next(seeds), next(seeds)))
-            own.append(archive)
-    return jobs, own
+            archive_of.append(archive)
+    return jobs, archive_of

@@ -1,11 +1,12 @@
-"""Executed motions side by side, with what the observer believes under each: a picture or a film.
+"""Executed motions side by side, with the observer's belief under each: a figure or a film.
 
-A viewer sees when the intent becomes clear: a trail has the colour of what the observer believes at
-that moment, and a diamond marks from where on the target is believed for good.
+A trail has the colour of the observer's belief at that moment, and a diamond marks the time to
+confidence: from there on the observer believes in the target for good.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-from matplotlib import rcParams, style
+from matplotlib import rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -24,15 +25,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.spatial import KDTree
 
 from ..envs.colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
-from ..evaluation.statistics import CONFIDENT, clear_step
 from ..files import atomic_path
+from ..intent.belief import CONFIDENCE
 from ..rollout import Rollout
 from ..scene import Scene
-from .dial import STYLE, figure_file, goal_colors
-from .views import DOTTED, ArmView, DrawnView, View, add_artist, diamond
+from .scene_axes import goal_colors
+from .style import DOTTED, figure_file, shared_style
+from .views import ArmView, DrawnView, add_artist, diamond
 
 Picture = NDArray[np.uint8]
 
@@ -42,21 +45,21 @@ FILMS = (".gif", ".mp4")
 """Formats of a film."""
 
 MOST = 25
-"""Motions that are shown side by side."""
+"""Most motions that are shown side by side."""
 
 _COLUMNS = 5
 _DPI = {".gif": 110, ".mp4": 200}
 _EXACT = 48
 _KEYS = 5
 _HOLD = 1.5
-"""How long a film stands still at its end [s]."""
+"""Duration of the still at the end of a film [s]."""
 
 
 def check_film(file: str | FilePath) -> None:
     """Raise if a film of this name cannot be written here.
 
     Raises:
-        OutputError: another suffix, or what writes it is not installed.
+        OutputError: another suffix, or .mp4 without ffmpeg.
     """
     suffix = FilePath(file).suffix.lower()
     if suffix not in FILMS:
@@ -66,9 +69,9 @@ def check_film(file: str | FilePath) -> None:
 
 
 def check_number(number: int) -> None:
-    """Raise if so many motions cannot be shown side by side."""
+    """Raise unless `number` motions can be shown side by side."""
     if not 1 <= number <= MOST:
-        raise InvalidInputError(f"a picture or film shows 1 to {MOST} motions, got {number}")
+        raise InvalidInputError(f"a figure or film shows 1 to {MOST} motions, got {number}")
 
 
 def execution_figure(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
@@ -76,7 +79,7 @@ def execution_figure(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
 
     Args:
         rollouts: in one scene, toward one target.
-        file: where to; .png, .pdf or .svg.
+        file: .png, .pdf or .svg.
 
     Raises:
         InvalidInputError: there are none, or too many.
@@ -99,8 +102,8 @@ def execution_film(
 
     Args:
         rollouts: in one scene, toward one target.
-        file: where to; .gif, or .mp4 where ffmpeg is installed.
-        progress: called with frames done and to do.
+        file: .gif, or .mp4 where ffmpeg is installed.
+        progress: called with the frames done and the frames in all.
 
     Raises:
         InvalidInputError: there are none, or too many.
@@ -111,14 +114,14 @@ def execution_film(
     suffix = FilePath(file).suffix.lower()
     layout = _Layout(len(rollouts), rollouts[0].path.scene)
     write = _write_gif if suffix == ".gif" else _write_mp4
-    with style.context(["default", STYLE]), atomic_path(file) as temporary:
+    with shared_style(), atomic_path(file) as temporary:
         figure = Figure(layout.size, dpi=_DPI[suffix])
         stage = _Stage(figure, layout, rollouts, figure.dpi)
         write(temporary, *stage.frames(progress), rollouts[0].step_seconds)
 
 
 class _Layout:
-    """Where everything is [in], so that scenes and panels of all motions are aligned exactly."""
+    """Sizes of all cells [in], so that scenes and panels of all motions align exactly."""
 
     def __init__(self, number: int, scene: Scene) -> None:
         self.rows = -(-number // _COLUMNS)
@@ -133,7 +136,7 @@ class _Layout:
         self.size = sum(self.widths), sum(self.heights)
 
     def grid(self, figure: Figure) -> GridSpec:
-        """The cells, gaps included."""
+        """The cells and the gaps between them."""
         return figure.add_gridspec(
             len(self.heights), len(self.widths), left=0, right=1, bottom=0, top=1, wspace=0,
             hspace=0, width_ratios=self.widths, height_ratios=self.heights,
@@ -141,7 +144,7 @@ class _Layout:
 
 
 class _Stage:
-    """The axes of all motions, and how they look at a time."""
+    """The axes of all motions at any control step."""
 
     def __init__(
         self, figure: Figure, layout: _Layout, rollouts: Sequence[Rollout], dpi: float
@@ -193,9 +196,12 @@ class _Stage:
             (Line2D([], [], color=INK, lw=0.7, ls=DOTTED), "planned"),
             (
                 tuple(map(line, (self.colors[target], others[0]))),
-                "executed; colour: what is believed",
+                "executed, coloured by belief",
             ),
-            (diamond([], []), rf"clear: $P(\mathrm{{target}})$ ≥ {CONFIDENT:g} for good"),
+            (
+                diamond([], []),
+                rf"time to confidence: $P(\mathrm{{target}})$ ≥ {CONFIDENCE:g} for good",
+            ),
         ]
         handles, labels = zip(*entries, strict=True)
         self.figure.legend(
@@ -204,12 +210,12 @@ class _Stage:
         )  # fmt: skip
 
     def show(self, step: int) -> None:
-        """How it looks after `step` control steps."""
+        """Draw the state after `step` control steps."""
         for motion in self.motions:
             motion.show(step)
 
     def frames(self, progress: Callable[[int, int], None]) -> tuple[Picture, Iterator[Picture]]:
-        """How it looks in the end, `(H, W, 3)`, and at each control step."""
+        """The last picture `(H, W, 3)`, and that of each control step."""
         canvas = FigureCanvasAgg(self.figure)
         moving = [artist for motion in self.motions for artist in motion.moving]
         for artist in moving:
@@ -233,17 +239,18 @@ class _Stage:
 
 
 class _Motion:
-    """One motion and the belief under it."""
+    """One motion with the belief under it."""
 
-    def __init__(self, view: View, panel: Any, rollout: Rollout, colors: list[str]) -> None:
+    def __init__(
+        self, view: ArmView | DrawnView, panel: Any, rollout: Rollout, colors: list[str]
+    ) -> None:
         target = rollout.path.target
         self.view = view
         self.beliefs = rollout.posterior
         self.last = len(rollout.actions)
         self.seconds = rollout.step_seconds
         self.times = np.arange(self.last + 1) * self.seconds
-        clear = clear_step(self.beliefs, target)
-        self.clear = self.last + 1 if clear is None else clear
+        self.confident = min(rollout.time_to_confidence, (self.last + 1) * self.seconds)
         blended = self.beliefs @ np.array([to_rgb(color) for color in colors])
         self.tints = (blended[1:] + blended[:-1]) / 2
 
@@ -252,17 +259,17 @@ class _Motion:
         title = rf"$\ell$ = {rollout.legibility:g}" + f"\nachieved {achieved}{ended}"
         view.axes.set_title(title.replace("-", "−"))
         self.label = panel.set_title("", fontsize=7, pad=2)
-        panel.axhline(CONFIDENT, color=MUTED, lw=0.6, ls=DOTTED, zorder=0)
+        panel.axhline(CONFIDENCE, color=MUTED, lw=0.6, ls=DOTTED, zorder=0)
         self.lines = [
             add_artist(Line2D([], [], color=color, lw=1.8 if goal == target else 1.1,
                         zorder=5 if goal == target else 4), panel)
             for goal, color in enumerate(colors)
         ]  # fmt: skip
-        at = slice(self.clear, self.clear + 1)
+        at = np.isclose(self.times, self.confident)
         self.moment = add_artist(diamond(self.times[at], self.beliefs[at, target]), panel)
         self.shade = add_artist(
-            Rectangle((self.clear * self.seconds, -0.04), 0, 1.1, color=colors[target], alpha=0.15,
-                      lw=0, zorder=1), panel,
+            Rectangle((self.confident, -0.04), 0, 1.1, color=colors[target], alpha=0.15, lw=0,
+                      zorder=1), panel,
         )  # fmt: skip
         self.moving = sorted(
             [*view.moving, self.shade, *self.lines, self.moment, self.label],
@@ -270,26 +277,28 @@ class _Motion:
         )
 
     def show(self, step: int) -> None:
-        """How it looks after `step` control steps."""
+        """Draw the state after `step` control steps."""
         step = min(step, self.last)
-        clear = step >= self.clear
-        self.view.show(step, self.tints[:step], self.clear if clear else None)
+        since = self.times[step] - self.confident
+        confident = since > -1e-9
+        moment = round(self.confident / self.seconds) if confident else None
+        self.view.show(step, self.tints[:step], moment)
         for goal, line in enumerate(self.lines):
             line.set_data(self.times[: step + 1], self.beliefs[: step + 1, goal])
         for artist in (self.moment, self.shade):
-            artist.set_visible(clear)
-        self.shade.set_width(max(0, step - self.clear) * self.seconds)
-        if clear:
-            after = f"after {self.clear * self.seconds:.2f} s" if self.clear else "from the start"
-            self.label.set_text(f"clear {after}")
+            artist.set_visible(confident)
+        if confident:
+            self.shade.set_width(since)
+            when = f"after {self.confident:.2f} s" if self.confident else "from the start"
+            self.label.set_text(f"confident {when}")
         else:
-            self.label.set_text("never clear" if step == self.last else "")
+            self.label.set_text("never confident" if step == self.last else "")
 
 
 def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
-    palette = _Palette(final)  # one for all, so that it is kept once
+    palette = _Palette(final)  # one for all frames, so that the file holds it once
     frames = map(palette.image, pictures)
-    hold = [palette.image(final)] * round(_HOLD / seconds)  # kept as one frame that lasts
+    hold = [palette.image(final)] * round(_HOLD / seconds)  # stored as one long frame
     next(frames).save(
         file, format="GIF", save_all=True, append_images=itertools.chain(frames, hold),
         duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
@@ -297,34 +306,30 @@ def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seco
 
 
 class _Palette:
-    """255 colours of a picture: the most frequent exactly, and some for all the rest."""
+    """255 colours of a picture: the most frequent exactly, and some for the rest."""
 
     def __init__(self, picture: Picture) -> None:
-        red, green, blue = np.moveaxis(picture.astype(np.uint32), -1, 0)
-        found, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)
-        found = found[np.argsort(-counts, kind="stable")[:_EXACT]]
-        kept = np.stack([found >> 16, found >> 8 & 255, found & 255], axis=-1).astype(np.uint8)
-        rest = Image.fromarray(picture).quantize(255 - len(kept), Image.Quantize.MAXCOVERAGE)
-        more = np.array(rest.getpalette(), dtype=np.uint8).reshape(-1, 3)
-        self.colors = np.concatenate([kept, more])[:255]
+        image = Image.fromarray(picture)
+        counts: Any = image.getcolors(picture.size)
+        exact = [color for _, color in sorted(counts, reverse=True)[:_EXACT]]
+        rest = image.quantize(255 - len(exact), Image.Quantize.MAXCOVERAGE).getpalette()
+        more = np.reshape(np.array(rest, dtype=np.uint8), (-1, 3))
+        self.colors = np.concatenate([np.array(exact, dtype=np.uint8), more])[:255]
         # The nearest colour of each bin of colours, by its middle.
-        red, green, blue = np.unravel_index(np.arange(2**16), (32, 64, 32))
-        middle = np.stack([red * 255 / 31, green * 255 / 63, blue * 255 / 31], axis=-1)
-        colors = self.colors.astype(np.float64)
-        near = (colors**2).sum(-1) - 2 * middle @ colors.T
-        self.nearest = near.argmin(-1).astype(np.uint8)
-        self.nearest[self._bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
-
-    @staticmethod
-    def _bins(colors: Picture) -> NDArray[np.uint16]:
-        red, green, blue = np.moveaxis(colors.astype(np.uint16), -1, 0)
-        return (red >> 3) << 11 | (green >> 2) << 5 | blue >> 3
+        middles = np.indices((32, 64, 32)).reshape(3, -1).T * 255 / (31, 63, 31)
+        self.nearest: Picture = np.asarray(KDTree(self.colors).query(middles)[1], dtype=np.uint8)
+        self.nearest[_bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
 
     def image(self, picture: Picture) -> Image.Image:
         """The picture `(H, W, 3)` in these colours."""
-        image = Image.fromarray(self.nearest[self._bins(picture)])
+        image = Image.fromarray(self.nearest[_bins(picture)])
         image.putpalette(self.colors.tobytes())
         return image
+
+
+def _bins(colors: Picture) -> NDArray[np.uint16]:
+    red, green, blue = np.moveaxis(colors.astype(np.uint16), -1, 0)
+    return (red >> 3) << 11 | (green >> 2) << 5 | blue >> 3
 
 
 def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
@@ -337,15 +342,14 @@ def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seco
         "-movflags", "+faststart", str(file),
     ]  # fmt: skip
     hold = itertools.repeat(final, round(_HOLD * rate))
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as encoder:
-        assert encoder.stdin is not None
-        assert encoder.stderr is not None
-        try:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, bufsize=0, stdin=pipe, stderr=pipe) as encoder:
+        assert encoder.stdin
+        assert encoder.stderr
+        with contextlib.suppress(BrokenPipeError):  # it has ended and printed why
             for picture in itertools.chain(pictures, hold):
                 encoder.stdin.write(picture.tobytes())
-            encoder.stdin.close()
-        except BrokenPipeError:  # it has ended and says why
-            pass
-        said = encoder.stderr.read().decode(errors="replace").strip()
+        encoder.stdin.close()
+        error = encoder.stderr.read().decode(errors="replace").strip()
     if encoder.returncode:
-        raise OSError(f"ffmpeg: {said or f'exit status {encoder.returncode}'}")
+        raise OSError(f"ffmpeg: {error or f'exit status {encoder.returncode}'}")

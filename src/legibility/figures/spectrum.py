@@ -1,4 +1,4 @@
-"""The spectrum drawn: motions, and their cost against ℓ (paper, fig. 3)."""
+"""The figure of the spectrum: motions, and their cost against ℓ (paper, fig. 3)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from ..envs.colors import INK, MUTED
 from ..evaluation.spectrum import Spectrum
 from ..evaluation.statistics import bootstrap_interval
-from .dial import LABELS, PAGE, REDS, add_lines, figure_file, name_ends, scene_axes
+from .scene_axes import name_ends, scene_axes
+from .style import LABELS, PAGE, REDS, add_lines, figure_file, label_ticks
 
 __all__ = ["spectrum_figure"]
 
@@ -25,12 +26,12 @@ _SHOWN = 11
 def spectrum_figure(spectra: Sequence[Spectrum], file: str | FilePath) -> None:
     """Draw motions, light to dark red with ℓ, and beside them their cost L_p against ℓ.
 
-    An arm is rendered at its table, the motions of the gripper as tubes; of many levels some are
-    drawn. Costs are means with their 95 % interval.
+    An arm is rendered at its table, the motions of the gripper as tubes; of more than 11 levels
+    some are drawn. Costs are means with their 95 % interval.
 
     Args:
-        spectra: a row each.
-        file: where to; .png, .pdf or .svg.
+        spectra: one for each row.
+        file: .png, .pdf or .svg.
 
     Raises:
         OutputError: another suffix, or the file cannot be written.
@@ -47,11 +48,11 @@ def _draw_motions(figure: Any, cell: Any, spectrum: Spectrum) -> None:
     motions = [spectrum.motions[i] for i in shown]
     colors = REDS(LABELS(spectrum.levels[shown]))
     if spectrum.angles.size:
-        from ..envs.panda_render import arm_image
+        from ..envs.panda_render import Trail, arm_image
 
         axes = figure.add_subplot(cell)
         axes.set_axis_off()
-        trails = [(m, tuple(c), _TUBE) for m, c in zip(motions, colors, strict=True)]
+        trails = [Trail(m, tuple(c), _TUBE) for m, c in zip(motions, colors, strict=True)]
         size = round(PAGE * _SHARE * _DPI), round(_HEIGHT * _DPI)
         axes.imshow(
             arm_image(spectrum.scene, spectrum.target, spectrum.angles, trails=trails, size=size)
@@ -65,8 +66,8 @@ def _draw_motions(figure: Any, cell: Any, spectrum: Spectrum) -> None:
 
 def _draw_costs(figure: Any, cell: Any, spectrum: Spectrum) -> None:
     panel = figure.add_subplot(cell, xlim=(-1.05, 1.05), xlabel=r"legibility $\ell$")
-    panel.set_ylabel(r"cost $L_p$ (lower: clearer)")
-    panel.set_xticks((-1, 0, 1), ("−1", "0", "1"))
+    panel.set_ylabel(r"cost $L_p$ (lower: more legible)")
+    label_ticks(panel.xaxis)
     levels, means = spectrum.levels, spectrum.costs.mean(axis=1)
     if spectrum.costs.shape[1] > 1:
         band = np.array([bootstrap_interval(row) for row in spectrum.costs])

@@ -1,8 +1,8 @@
-"""A motion in its scene, for pictures and films: a point is drawn, an arm is rendered."""
+"""A motion in its scene, for figures and films: a point is drawn, an arm is rendered."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -12,41 +12,24 @@ from matplotlib.lines import Line2D
 
 from ..checks import Array
 from ..envs.colors import INK
+from ..envs.panda_render import FRONT, Trail, arm_image
 from ..rollout import Rollout
-from .dial import flat, scene_axes
+from .scene_axes import flat, scene_axes
+from .style import DOTTED
 
-__all__ = ["DOTTED", "ArmView", "DrawnView", "View", "add_artist", "diamond"]
+__all__ = ["ArmView", "DrawnView", "add_artist", "diamond"]
 
-DOTTED = (0, (1, 2))
 _TUBE = 0.0035
 
 
-class View(Protocol):
-    """The scene with a motion in it."""
-
-    axes: Any
-    moving: list[Any]
-    """Artists that a film draws anew."""
-
-    def show(self, step: int, tints: Array, clear: int | None) -> None:
-        """How it looks after `step` control steps.
-
-        Args:
-            step: how many.
-            tints: `(step, 3)`, colours of the way so far.
-            clear: from which step on the intent is clear, if it is.
-        """
-        ...
-
-
 class DrawnView:
-    """A point moves in a drawing of the scene."""
+    """A point moves in a drawing of the scene; `moving` are the artists that every frame draws."""
 
     def __init__(self, figure: Figure, cell: Any, rollout: Rollout) -> None:
         path = rollout.path
         axes = scene_axes(figure, cell, path.scene, path.target, rollout.states[None], blocks=1.6)
         self.axes, self.states = axes, flat(axes, rollout.states)
-        # A film draws these anew too, so that trails stay below them.
+        # Every frame draws these again, so that trails stay below them.
         front = [artist for artist in axes.get_children() if artist.get_zorder() > 5]
         planned = flat(axes, path.trajectory(129))
         self.halo = add_artist(Line2D([], [], color="white", lw=3.2, zorder=4), axes)
@@ -58,16 +41,22 @@ class DrawnView:
         self.spot = add_artist(diamond([], []), axes)
         self.moving = [*front, self.halo, self.trail, plan, self.spot, self.robot]
 
-    def show(self, step: int, tints: Array, clear: int | None) -> None:
-        """See `View`."""
+    def show(self, step: int, tints: Array, confident: int | None) -> None:
+        """Draw the state after `step` control steps.
+
+        Args:
+            step: the number of control steps.
+            tints: `(step, 3)`, colours of the trail.
+            confident: the step from which the observer is confident, once it is reached.
+        """
         seen = self.states[: step + 1]
         self.halo.set_data(*seen.T)
         self.trail.set_segments(np.stack([seen[:-1], seen[1:]], axis=1))
         self.trail.set_color(tints)
         self.robot.set_data(*seen[-1:].T)
-        self.spot.set_visible(clear is not None)
-        if clear is not None:
-            self.spot.set_data(*self.states[clear : clear + 1].T)
+        self.spot.set_visible(confident is not None)
+        if confident is not None:
+            self.spot.set_data(*self.states[confident : confident + 1].T)
 
 
 class ArmView:
@@ -85,25 +74,23 @@ class ArmView:
         self.moving = [self.image]
         planned = rollout.path.trajectory(65)
         self.planned = [
-            (planned[i : i + 2], (*to_rgb(INK), 1.0), _TUBE / 3)
+            Trail(planned[i : i + 2], (*to_rgb(INK), 1.0), _TUBE / 3)
             for i in range(0, len(planned) - 1, 2)
         ]
 
-    def show(self, step: int, tints: Array, clear: int | None) -> None:
-        """See `View`."""
-        from ..envs.panda_render import FRONT, arm_image
-
+    def show(self, step: int, tints: Array, confident: int | None) -> None:
+        """See `DrawnView`."""
         path, states = self.rollout.path, self.rollout.states
         pieces = zip(states[:step], states[1 : step + 1], tints, strict=True)
-        trails = [(np.stack([a, b]), (*tint, 1.0), _TUBE) for a, b, tint in pieces]
+        trails = [Trail(np.stack([a, b]), (*tint, 1.0), _TUBE) for a, b, tint in pieces]
         trails += self.planned
-        if clear is not None:
-            dot = states[clear] + [[0, 0, 0], [0, 0, _TUBE / 50]]
-            trails.append((dot, (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
+        if confident is not None:
+            dot = states[confident] + [[0, 0, 0], [0, 0, _TUBE / 50]]
+            trails.append(Trail(dot, (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
+        angles = self.rollout.joint_angles[step]
         self.image.set_data(
-            arm_image(path.scene, path.target, self.rollout.joint_angles[step], trails=trails,
-                      size=self.size, camera=FRONT)
-        )  # fmt: skip
+            arm_image(path.scene, path.target, angles, trails=trails, size=self.size, camera=FRONT)
+        )
 
 
 def add_artist(artist: Any, axes: Any) -> Any:
@@ -112,13 +99,13 @@ def add_artist(artist: Any, axes: Any) -> Any:
 
 
 class _Trail(LineCollection):
-    """Segments, flat already, which 3-D axes take as well."""
+    """Segments in the plane of the axes, which 3-D axes accept too."""
 
     def do_3d_projection(self) -> float:
-        """Nothing is left to project."""
+        """The segments are projected already."""
         return 0.0
 
 
 def diamond(x: Any, y: Any) -> Line2D:
-    """The mark of the moment from which on the intent is clear."""
+    """The mark of the time to confidence."""
     return Line2D(x, y, ls="", marker="D", ms=4.5, color="white", mec=INK, mew=1, zorder=9)

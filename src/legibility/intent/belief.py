@@ -1,4 +1,4 @@
-"""What an observer believes over time: Dragan's observer, and readings of any observer's posterior.
+"""Belief over time: Dragan's observer, and metrics of any observer's posterior.
 
 A posterior is P(g) over time, `(..., T, G)`, its T times equally spaced; it comes from
 `InformationPotentialField.posterior` or from `dragan_posterior`. Progress t runs from 0 to 1.
@@ -25,6 +25,7 @@ from ..curves import arc_length
 from ..errors import InvalidInputError
 
 __all__ = [
+    "CONFIDENCE",
     "COSTS",
     "DEFAULT_BETA",
     "Cost",
@@ -41,12 +42,16 @@ __all__ = [
 Cost = Literal["length", "squared_velocity"]
 
 COSTS: tuple[Cost, ...] = ("length", "squared_velocity")
-"""What Dragan's observer takes the robot to minimise."""
+"""Costs that Dragan's observer assumes the robot minimises."""
+
+CONFIDENCE = 0.8
+"""Belief in the target from which on the observer is confident."""
 
 DEFAULT_BETA = 10.0
 """Rationality β [1/m]: with `length`, 0.1 m of detour makes a goal e times less likely."""
 
 
+@np.errstate(under="ignore")
 def trajectory_cost(trajectory: ArrayLike, cost: Cost = "length", time_step: float = 1.0) -> Array:
     """`C(ξ)` of each trajectory `(..., T, D)` [m], `(...)`; lower = better.
 
@@ -62,6 +67,7 @@ def trajectory_cost(trajectory: ArrayLike, cost: Cost = "length", time_step: flo
     return (np.diff(points, axis=-2) ** 2).sum((-2, -1)) / (2 * time_step)
 
 
+@np.errstate(under="ignore")
 def dragan_posterior(
     trajectory: ArrayLike,
     goals: ArrayLike,
@@ -78,8 +84,8 @@ def dragan_posterior(
 
     * `length`: `C*(Q→g) = ‖g − Q‖` [m].
     * `squared_velocity`: a constant velocity over the time that is left, `C*(Q→g) = ‖g − Q‖² / 2τ`
-      [m²/s]. The observer knows the duration, (T − 1) Δt from S, so τ = (T − 1 − i) Δt from point
-      i. The last point has no time left: it is read as if one step were.
+      [m²/s]. The observer knows the duration, (T − 1) Δt from S, so τ = (T − 1 − i) Δt at point i,
+      and one step at the last point.
 
     Args:
         trajectory: `(..., T, D)` [m], points at equal time steps.
@@ -99,6 +105,7 @@ def dragan_posterior(
         left = np.maximum(steps - np.arange(steps + 1), 1) * time_step
         to_go = to_go**2 / (2 * left[:, None])
     logits = np.log(prior) - beta * (to_go - to_go[..., :1, :])
+    logits -= logits.max(axis=-1, keepdims=True)  # log 2 is lost beside a large number
     return np.exp(logits - np.logaddexp.reduce(logits, axis=-1, keepdims=True))
 
 
@@ -116,6 +123,7 @@ def dragan_legibility(
     return posterior_legibility(posterior, target)
 
 
+@np.errstate(under="ignore")
 def posterior_legibility(posterior: ArrayLike, target: int) -> Array:
     """`∫ P(g*|ξ_{0→t}) f(t) dt / ∫ f(t) dt`, `f(t) = T − t`, `(...)` in [0, 1]; higher = better.
 
@@ -127,7 +135,7 @@ def posterior_legibility(posterior: ArrayLike, target: int) -> Array:
     return belief @ (weights / weights.sum())
 
 
-def time_to_confidence(posterior: ArrayLike, target: int, threshold: float = 0.8) -> Array:
+def time_to_confidence(posterior: ArrayLike, target: int, threshold: float = CONFIDENCE) -> Array:
     """First progress t from which on `P(g*) ≥ threshold` for good, `(...)`; lower = better.
 
     In [0, 1], one of the T times; `inf` if the last belief is below the threshold.
@@ -136,6 +144,7 @@ def time_to_confidence(posterior: ArrayLike, target: int, threshold: float = 0.8
     return _first(np.logical_and.accumulate(held[..., ::-1], axis=-1)[..., ::-1])
 
 
+@np.errstate(under="ignore")
 def earliest_correct_guess(posterior: ArrayLike, target: int, margin: float = 0.0) -> Array:
     """First progress t at which `P(g*) > P(g) + margin` for every other g, `(...)`; lower = better.
 
@@ -146,6 +155,7 @@ def earliest_correct_guess(posterior: ArrayLike, target: int, margin: float = 0.
     return _first(belief - others > bounded("margin", margin, 0, 1))
 
 
+@np.errstate(under="ignore")
 def early_intent(posterior: ArrayLike, target: int, fraction: float = 0.3) -> Array:
     """Mean `P(g*)` over the times with progress t ≤ fraction, `(...)`; higher = better."""
     belief = _belief(posterior, target)
@@ -153,8 +163,9 @@ def early_intent(posterior: ArrayLike, target: int, fraction: float = 0.3) -> Ar
     return belief[..., : last + 1].mean(-1)
 
 
+@np.errstate(under="ignore")
 def posterior_entropy(posterior: ArrayLike) -> Array:
-    """`H = −Σ_g P(g) log P(g)` at each time [nat], `(..., T)`; lower = more certain."""
+    """Entropy `−Σ_g P(g) log P(g)` at each time [nat], `(..., T)`; lower = more certain."""
     posterior = posterior_array(posterior)
     logs = np.log(np.where(posterior > 0, posterior, 1))
     return -(posterior * logs).sum(-1) + 0.0  # never −0

@@ -23,7 +23,7 @@ __all__ = ["InformationPotentialField", "potential_of_odds"]
 
 
 class InformationPotentialField:
-    """An observer who takes each goal's likelihood to be a Gaussian around it (paper, section V.A).
+    """The posterior over goals of a Gaussian likelihood around each (paper, section V.A).
 
     `P(x|g) = N(x; g, σ²I)`, `P(g|x) = softmax_g(log P(g) − ‖x − g‖² / 2σ²)` (eq. 2) and
     `φ(x|g*) = −log P(g*|x)` (eq. 3).
@@ -56,7 +56,7 @@ class InformationPotentialField:
                 f"sigma must not vanish beside the goals' distances, got {sigma}"
             )
         if not self._slope.any():
-            raise InvalidInputError(f"sigma must let the goals be told apart, got {sigma}")
+            raise InvalidInputError(f"sigma must tell the goals apart, got {sigma}")
 
     @property
     def goals(self) -> Array:
@@ -83,15 +83,19 @@ class InformationPotentialField:
         """D."""
         return self.goals.shape[-1]
 
+    @np.errstate(under="ignore")
     def log_posterior(self, x: ArrayLike) -> Array:
         """`log P(g|x)` for every goal, `(..., G)`, of points `(..., D)` [m]."""
         logits = self._logits(finite_array("x", x, min_ndim=1, last=self.dim))
+        logits -= logits.max(axis=-1, keepdims=True)  # log 2 is lost beside a large number
         return logits - np.logaddexp.reduce(logits, axis=-1, keepdims=True)
 
+    @np.errstate(under="ignore")
     def posterior(self, x: ArrayLike) -> Array:
         """`P(g|x)` (eq. 2) for every goal, `(..., G)`, of points `(..., D)` [m]."""
         return np.exp(self.log_posterior(x))
 
+    @np.errstate(under="ignore")
     def potential(self, x: ArrayLike, target: int) -> Array:
         """`φ(x|g*) = −log P(g*|x)` (eq. 3), `(...)` ≥ 0, of points `(..., D)` [m].
 

@@ -1,4 +1,4 @@
-"""Labels ℓ in [−1, 1]: where a score stands among the scores of one scene and target."""
+"""Labels ℓ in [−1, 1]: the rank of a score among those of one scene and target."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def anchored_label(scores: ArrayLike, straight_score: float) -> Array:
 
 
 def label_knots(scores: ArrayLike, labels: ArrayLike) -> tuple[Array, Array]:
-    """Rising scores and their labels, between which a label is read off by linear interpolation."""
+    """Rising scores and their labels, the knots of linear interpolation from one to the other."""
     scores = _scores(scores)
     labels = finite_array("labels", labels, ndim=1)
     if labels.shape != scores.shape:
@@ -63,7 +63,7 @@ def label_knots(scores: ArrayLike, labels: ArrayLike) -> tuple[Array, Array]:
 
 
 def _mean_rank(values: Array) -> Array:
-    """Ranks from 0; equal values share the mean of theirs."""
+    """Ranks from 0; equal values share their mean rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(counts) - 1
     return (last - (counts - 1) / 2)[inverse]

@@ -1,4 +1,4 @@
-"""How an observer reads a trajectory: scores, costs and times, each with its source.
+"""Metrics of a trajectory: scores, costs and times, each with its source.
 
 Trajectories are `(..., T, D)` [m]; every function is vectorised over the leading axes.
 """
@@ -68,6 +68,7 @@ SCORE_POINTS = 48
 
 
 @functools.lru_cache(maxsize=32)
+@np.errstate(under="ignore")
 def score_weights(num_points: int, alpha: float) -> Array:
     """`f(t) = exp(−α t)` at `num_points` equal steps of t ∈ [0, 1], `(num_points,)`, summing to 1.
 
@@ -80,6 +81,7 @@ def score_weights(num_points: int, alpha: float) -> Array:
     return weights
 
 
+@np.errstate(under="ignore")
 def legibility_score(
     trajectory: ArrayLike,
     field: InformationPotentialField,
@@ -94,7 +96,7 @@ def legibility_score(
     Args:
         trajectory: `(..., T, D)` [m].
         field: the observer.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         alpha: decay α; 0 weighs all points alike.
     """
     points = resample(trajectory_array(trajectory, field.dim), SCORE_POINTS)
@@ -103,6 +105,7 @@ def legibility_score(
     )
 
 
+@np.errstate(under="ignore")
 def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, target: int) -> Array:
     """`L_p = Σ_t φ(x_t|g*) / t`, t = 1 … T over the points as given, `(...)`; lower = better.
 
@@ -112,12 +115,13 @@ def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, targ
     Args:
         trajectory: `(..., T, D)` [m].
         field: the observer.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
     """
     potential = field.potential(trajectory_array(trajectory, field.dim), target)
     return potential @ _harmonic_weights(potential.shape[-1])
 
 
+@np.errstate(under="ignore")
 def distance_score(
     trajectory: ArrayLike, goals: ArrayLike, target: int, squared: bool = False
 ) -> Array:
@@ -130,7 +134,7 @@ def distance_score(
     Args:
         trajectory: `(..., T, D)` [m].
         goals: `(G, D)` [m].
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         squared: sum `‖g⁻ − x_t‖²` [m²], as the equation has it.
     """
     points, goals, target = _checked(trajectory, goals, target)
@@ -138,6 +142,7 @@ def distance_score(
     return (nearest**2 if squared else nearest) @ _harmonic_weights(nearest.shape[-1])
 
 
+@np.errstate(under="ignore")
 def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
     """`Σ_t (‖x_t − g⁻‖ / ‖g* − g⁻‖) / t`, t = 1 … T, `(...)`; higher = better.
 
@@ -147,7 +152,7 @@ def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
     Args:
         trajectory: `(..., T, D)` [m].
         goals: `(G, D)` [m], none at the target.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
     """
     points, goals, target = _checked(trajectory, goals, target)
     distractors = np.delete(goals, target, axis=0)
@@ -158,6 +163,7 @@ def detachment(trajectory: ArrayLike, goals: ArrayLike, target: int) -> Array:
     return smallest @ _harmonic_weights(smallest.shape[-1])
 
 
+@np.errstate(under="ignore")
 def predictability(trajectory: ArrayLike) -> Array:
     """Straight length / length between the two ends, `(...)` in [0, 1]; higher = better.
 
@@ -174,6 +180,7 @@ def predictability(trajectory: ArrayLike) -> Array:
     return np.minimum(ratio, 1)  # rounding
 
 
+@np.errstate(under="ignore")
 def regularised_legibility(legibility: ArrayLike, cost: ArrayLike, weight: float) -> Array:
     """`L(ξ) − λ C(ξ)` (Dragan and Srinivasa, RSS 2013), `(...)`; higher = better.
 
@@ -200,6 +207,7 @@ def budgeted_legibility(legibility: ArrayLike, cost: ArrayLike, budget: float) -
     return np.where(cost <= bounded("budget", budget, 0), legibility, -np.inf)
 
 
+@np.errstate(under="ignore")
 def evaluate_trajectory(
     trajectory: ArrayLike,
     field: InformationPotentialField,
@@ -209,15 +217,15 @@ def evaluate_trajectory(
 ) -> dict[str, Array]:
     """Every metric of one or many trajectories by its name, each `(...)`.
 
-    Readings of a posterior come twice, `field_…` for the information potential field and
-    `dragan_…` for Dragan's observer with path length as the cost and the same prior. All but
-    `legibility_score` read the points as given, at equal time steps. A time that is never reached
-    is `inf`.
+    Metrics of a posterior come twice, `field_…` for the information potential field and `dragan_…`
+    for Dragan's observer with path length as the cost and the same prior. All but
+    `legibility_score` take the points to be at equal time steps. A time that is never reached is
+    `inf`.
 
     Args:
         trajectory: `(..., T, D)` [m].
         field: the observer; its goals and prior are also those of Dragan's.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         alpha: decay α of `legibility_score`.
         beta: rationality β [1/m] of Dragan's observer.
     """

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import torch
 from torch import Tensor, nn
 
@@ -47,24 +45,9 @@ class ActionDenoiser(nn.Module):
 
         Args:
             noisy: `(B, chunk, D)`, noisy actions over `scale`.
-            timestep: `(B,)` int, of the noise schedule.
+            timestep: `(B,)` int, of the noise schedule, or `(1,)` for all.
             context: `(B, E)` of what is observed.
         """
-        return self.unet(noisy, nn.functional.silu(context + self.moments(timestep)))
-
-    def moments(self, timestep: Tensor) -> Tensor:
-        """`(B, E)`, what timesteps `(B,)` add to a context."""
-        return self.time(fourier(timestep / self.steps * 2 - 1, _TIME_FREQUENCIES))
-
-    def _denoiser(self, context: Tensor, times: Sequence[int]) -> Callable[[Tensor, int], Tensor]:
-        """The velocity of noisy actions `(B, chunk, D)` at the i-th of `times`, for `ddim`.
-
-        What modulates the blocks does not depend on the actions: it is computed for all steps here.
-        """
-        moments = self.moments(torch.tensor(times))[:, None]
-        modulations = self.unet.modulations(nn.functional.silu(context + moments))
-
-        def velocity(noisy: Tensor, i: int) -> Tensor:
-            return self.unet.modulated(noisy, [(m[0][i], m[1][i]) for m in modulations])
-
-        return velocity
+        time = timestep.float() / self.steps * 2 - 1
+        condition = nn.functional.silu(context + self.time(fourier(time, _TIME_FREQUENCIES)))
+        return self.unet(noisy, condition)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+import torch
 from torch import Tensor
 
-__all__ = ["ddim", "noise_schedule", "noised", "sampling_timesteps"]
+__all__ = ["ddim", "noise_schedule", "noised", "sampling_timesteps", "standard_normal"]
 
 
 def noise_schedule(diffusion_steps: int) -> Tensor:
@@ -19,6 +20,11 @@ def noise_schedule(diffusion_steps: int) -> Tensor:
         beta_schedule="squaredcos_cap_v2",
         rescale_betas_zero_snr=True,
     ).alphas_cumprod
+
+
+def standard_normal(*shape: int, generator: torch.Generator) -> Tensor:
+    """Noise in float32 on the CPU, whatever PyTorch's defaults."""
+    return torch.randn(shape, generator=generator, dtype=torch.float32, device="cpu")
 
 
 def noised(clean: Tensor, noise: Tensor, signal: Tensor) -> tuple[Tensor, Tensor]:

@@ -13,13 +13,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..checks import Array
+from ..errors import InvalidSceneError
 from ..intent.field import InformationPotentialField, potential_of_odds
-from ..scene import Scene
+from ..scene import DEFAULT_WORKSPACE, Scene
 
-__all__ = ["Frame", "axes_along", "scene_image", "scene_odds", "scene_vector", "vector_size"]
+__all__ = [
+    "Frame",
+    "axes_along",
+    "check_scale",
+    "scene_image",
+    "scene_odds",
+    "scene_vector",
+    "vector_size",
+]
 
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
 """What of the frame an image shows along each axis, in lengths of the straight line."""
+
+LARGEST_SCALE = 4.0
+"""A scene may be this many times larger or smaller than those of training; there the dial's mean
+error is 0.1, five times that at their size."""
 
 DEPTH = 16
 """Depth slices of an image in 3D."""
@@ -64,6 +77,23 @@ class Frame:
         return points @ self.rotation * self.scale + self.origin
 
 
+def check_scale(scene: Scene, name: str) -> None:
+    """Raise unless the scene is about as large as those on which the model `name` was trained.
+
+    Raises:
+        InvalidSceneError: its points are too far apart or its workspace is too small.
+    """
+    trained = float(np.linalg.norm(np.diff(DEFAULT_WORKSPACE[scene.dim], axis=0)))
+    points = np.concatenate([scene.start[None], scene.goals])
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if scene.diagonal < trained / LARGEST_SCALE or size > trained * LARGEST_SCALE:
+        part, size = ("scene", size) if size > trained else ("workspace", scene.diagonal)
+        raise InvalidSceneError(
+            f"the {part} is {size:.3g} m across; the model {name} plans in scenes of about "
+            f"{trained:.2g} m: give metres"
+        )
+
+
 def axes_along(direction: np.ndarray) -> np.ndarray:
     """Rotations `(..., D, D)`, rows are orthonormal axes, the first along `direction (..., D)`.
 
@@ -81,6 +111,7 @@ def axes_along(direction: np.ndarray) -> np.ndarray:
     return np.stack([forward, side, np.cross(forward, side)], -2)
 
 
+@np.errstate(under="ignore")
 def scene_image(
     scene: Scene, target: int, field: InformationPotentialField, resolution: int
 ) -> np.ndarray:
@@ -121,6 +152,7 @@ def _grid(dim: int, resolution: int) -> Array:
     return grid
 
 
+@np.errstate(under="ignore")
 def scene_vector(scene: Scene, target: int, field: InformationPotentialField) -> np.ndarray:
     """What an image cannot show exactly: the workspace's centre and half-axes in the frame, and σ.
 
@@ -138,6 +170,7 @@ def scene_vector(scene: Scene, target: int, field: InformationPotentialField) ->
     return np.concatenate(parts).astype(np.float32)
 
 
+@np.errstate(under="ignore")
 def scene_odds(
     scene: Scene, target: int, field: InformationPotentialField
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -92,17 +92,17 @@ class GoalPolicy(ActionDenoiser):
         """
         size, num = weights.shape
         known = torch.from_numpy(np.tile(has_goal, size))
-        context = self.encode(torch.from_numpy(features).flatten(0, 1), known)
         weight = torch.from_numpy(weights.astype(np.float32))
-
         times = sampling_timesteps(
-            len(self.signal), steps or self.config.sampling_steps, to_end=True
+            self.config.diffusion_steps, steps or self.config.sampling_steps, to_end=True
         )
-        each = self._denoiser(context, times)
+        timesteps = torch.tensor(times, device="cpu")[:, None]
+        with torch.autocast("cpu", enabled=False):
+            context = self.encode(torch.from_numpy(features).flatten(0, 1), known)
 
-        def velocity(noisy: Tensor, i: int) -> Tensor:
-            found = each(noisy.repeat_interleave(num, 0), i)
-            return torch.einsum("bc,bc...->b...", weight, found.unflatten(0, (size, num)))
+            def velocity(noisy: Tensor, i: int) -> Tensor:
+                under_each = self(noisy.repeat_interleave(num, 0), timesteps[i], context)
+                return torch.einsum("bc,bc...->b...", weight, under_each.unflatten(0, (size, num)))
 
-        actions = ddim(velocity, noise, self.signal, times, bound=1 / float(self.scale))
+            actions = ddim(velocity, noise, self.signal, times, bound=1 / float(self.scale))
         return (actions * self.scale).double().numpy() * self.config.limit

@@ -1,10 +1,19 @@
-"""Both stages as ONNX graphs that onnxruntime runs: the same results in less time."""
+"""Both stages as ONNX graphs for onnxruntime: the results of PyTorch to rounding, in less time.
+
+A graph depends on a stage's settings, not on its weights: a session takes those from the model. So
+a file of less than 100 kB beside the weights is enough, and retraining needs no new export.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+import contextlib
+import hashlib
+import json
+import logging
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,44 +22,42 @@ from torch import Tensor, nn
 
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS
-from .diffusion import sampling_timesteps
-from .onnx_graph import (
-    Graph,
-    ddim_step,
-    fourier,
-    linear,
-    modulations,
-    sequence,
-    session,
-    silu,
-    unet,
-)
-from .path_diffuser import LEVEL_FREQUENCIES, NO_ODDS, Conditions, PathDiffuser
+from ..errors import CheckpointError, InvalidInputError, MissingExtraError, OutputError
+from ..files import write_bytes
+from ..scene import Scene
+from .path_diffuser import Conditions, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-__all__ = ["OnnxPathDiffuser", "OnnxPathPolicy"]
+__all__ = ["OnnxPathDiffuser", "OnnxPathPolicy", "export_graph", "load_graph"]
 
-_AT_ONCE = 64  # rows: what their layers hold fits into a core's cache
-_SCENE = ("image", "vector", "slopes", "intercepts")
+_VERSION = 2
+"""Of what the graphs compute; a new one makes stored graphs be exported again."""
+
+_TRACED = (
+    "dim", "field", "channels", "condition", "encoder_width", "resolution", "squash", "chunk",
+    "diffusion_steps", "sampling_steps", "guidance",
+)  # fmt: skip
+"""Settings that a graph depends on."""
 
 
 class OnnxPathDiffuser:
-    """Draws what `PathDiffuser.sample` draws, to rounding.
+    """Draws the paths of `PathDiffuser.sample`, to rounding.
 
     Args:
-        model: stage 1, with the weights that it has when it first draws.
+        model: stage 1; later changes of its weights are not seen.
+        graph: see `load_graph`.
 
     Raises:
+        CheckpointError: the graph does not run.
         MissingExtraError: onnxruntime is not installed.
     """
 
-    def __init__(self, model: PathDiffuser) -> None:
-        self.model = model
-        self._session = lru_cache(lambda steps, guided: session(_path_graph(model, steps, guided)))
-        self._session(model.config.sampling_steps, bool(model.config.guidance))
+    def __init__(self, model: PathDiffuser, graph: bytes) -> None:
+        self.model, self.graph = model, graph
+        self._session, self._weights = _session(model, graph)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.model,)  # a session cannot be sent to another process
+        return type(self), (self.model, self.graph)  # a session cannot go to another process
 
     def sample(
         self,
@@ -61,201 +68,223 @@ class OnnxPathDiffuser:
         guidance: float | None = None,
         steps: int | None = None,
     ) -> Tensor:
-        """See `PathDiffuser.sample`; other steps than the model's own need a graph of their own."""
-        config = self.model.config
-        guidance = config.guidance if guidance is None else guidance
-        scenes = [getattr(conditions, name).numpy() for name in _SCENE]
-        each = {"level": level.numpy(), "noise": noise.numpy()}
-        if guidance:
-            each["weight"] = guidance * each["level"][:, None, None] ** 4
-        if len(scenes[0]) > 1:
-            each |= dict(zip(_SCENE, scenes, strict=True))
-            scenes = []
-        found = _in_parts(
-            self._session(steps or config.sampling_steps, bool(guidance)),
-            each,
-            dict(zip(_SCENE, scenes, strict=False)),
-        )
-        return torch.from_numpy(found)
+        """See `PathDiffuser.sample`.
+
+        Raises:
+            InvalidInputError: the guidance or the steps are not the model's own.
+        """
+        config, size = self.model.config, len(level)
+        _check_own("guidance", guidance, config.guidance)
+        _check_own("steps", steps, config.sampling_steps)
+        several = len(conditions.vector) > 1
+        feed = {
+            "image": conditions.image.numpy(),
+            "vector": conditions.vector.numpy(),
+            "slopes": conditions.slopes.numpy(),
+            "intercepts": conditions.intercepts.numpy(),
+            "scene": np.arange(size) if several else np.zeros(size, dtype=np.int64),
+            "level": level.numpy(),
+            "noise": noise.numpy(),
+        }
+        return torch.from_numpy(self._session.run(None, feed)[0])
 
 
 class OnnxPathPolicy:
     """Acts as `PathPolicy` does, to rounding.
 
     Args:
-        model: stage 2, with the weights that it has when it first acts.
+        model: stage 2; later changes of its weights are not seen.
+        graph: see `load_graph`.
 
     Raises:
+        CheckpointError: the graph does not run.
         MissingExtraError: onnxruntime is not installed.
     """
 
-    def __init__(self, model: PathPolicy) -> None:
-        self.model, self.config = model, model.config
-        self._session = lru_cache(lambda steps: session(_policy_graph(model, steps)))
-        self._session(model.config.sampling_steps)
+    def __init__(self, model: PathPolicy, graph: bytes) -> None:
+        self.model, self.graph, self.config = model, graph, model.config
+        self._session, self._weights = _session(model, graph)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.model,)
+        return type(self), (self.model, self.graph)
 
     def act(self, observation: Observation, noise: Tensor, steps: int | None = None) -> Array:
-        """See `PathPolicy.act`; other steps than the model's own need a graph of their own."""
-        each = {
+        """See `PathPolicy.act`.
+
+        Raises:
+            InvalidInputError: the steps are not the model's own.
+        """
+        _check_own("steps", steps, self.config.sampling_steps)
+        feed = {
             "features": observation.features,
-            "without": 1 - observation.has_path[:, None].astype(np.float32),
+            "has_path": observation.has_path,
             "noise": noise.numpy(),
         }
-        actions = _in_parts(self._session(steps or self.config.sampling_steps), each, {})
-        return actions.astype(np.float64) * self.config.limit @ observation.rotation
+        actions = self._session.run(None, feed)[0].astype(np.float64)
+        return actions * self.config.limit @ observation.rotation
 
 
-def _in_parts(graph: Any, each: dict[str, np.ndarray], shared: dict[str, np.ndarray]) -> np.ndarray:
-    """The output for the rows of `each`, shared among as many threads as PyTorch has."""
-    parts = range(0, len(each["noise"]), _AT_ONCE)
-
-    def run(first: int) -> np.ndarray:
-        rows = {name: value[first : first + _AT_ONCE] for name, value in each.items()}
-        return graph.run(None, rows | shared)[0]
-
-    threads = min(len(parts), torch.get_num_threads())
-    if threads == 1:
-        return np.concatenate([run(first) for first in parts])
-    with ThreadPoolExecutor(threads) as pool:
-        return np.concatenate(list(pool.map(run, parts)))
-
-
-@torch.no_grad()
-def _path_graph(model: PathDiffuser, steps: int, guided: bool) -> bytes:
-    """`PathDiffuser.sample` with its steps unrolled, of `B` rows in one scene or as many."""
-    g, config, dim = Graph(), model.config, model.config.dim
-    times = sampling_timesteps(config.diffusion_steps, steps)
-    moments = model.moments(torch.tensor(times))
-    modulated = modulations(g, model.unet, _context(g, model, guided), moments)
-    reading = _reader(g, dim, config.field)
-    latent = clean = "noise"
-    for now, after, by in zip(times, [*times[1:], None], modulated, strict=True):
-        inputs = g.Concat(latent, *reading(_from_latent(g, model, latent)), axis=-1)
-        if guided:
-            inputs = g.Concat(inputs, g.Pad(latent, [0, 0, 0, 0, 0, dim + 2]), axis=0)
-        v = unet(g, model.unet, inputs, NUM_WAYPOINTS, by)
-        if guided:
-            v, free = g.Split(v, outputs=2, axis=0, num_outputs=2)
-            v = g.Add(v, g.Mul("weight", g.Sub(v, free)))
-        clean, latent = ddim_step(g, latent, v, model.signal, now, after)
-    shapes: dict[str, list[int | str]] = {
-        "image": ["S", "C", config.resolution, config.resolution],
-        "vector": ["S", model.place.in_features],
-        "slopes": ["S", "M", dim],
-        "intercepts": ["S", "M"],
-        "level": ["B"],
-        "noise": ["B", NUM_WAYPOINTS, dim],
-    }
-    if guided:
-        shapes["weight"] = ["B", 1, 1]
-    return g.finished(shapes, _from_latent(g, model, clean))
-
-
-@torch.no_grad()
-def _policy_graph(model: PathPolicy, steps: int) -> bytes:
-    """The actions in limits that `PathPolicy.act` finds, with its steps unrolled, of `B` rows."""
-    g, config = Graph(), model.config
-    times = sampling_timesteps(config.diffusion_steps, steps)
-    seen = g.Add(linear(g, "features", model.observe), g.Mul("without", model.no_path))
-    modulated = modulations(
-        g, model.unet, sequence(g, seen, model.fuse), model.moments(torch.tensor(times))
-    )
-    latent = clean = "noise"
-    for now, after, by in zip(times, [*times[1:], None], modulated, strict=True):
-        v = unet(g, model.unet, latent, config.chunk, by)
-        clean, latent = ddim_step(g, latent, v, model.signal, now, after)
-    shapes: dict[str, list[int | str]] = {
-        "features": ["B", model.observe.in_features],
-        "without": ["B", 1],
-        "noise": ["B", config.chunk, config.dim],
-    }
-    return g.finished(shapes, g.Mul(clean, model.scale))
-
-
-def _context(g: Graph, model: PathDiffuser, guided: bool) -> str:
-    """`(B, E)` of scenes and levels; guided `(2B, E)`, of nothing besides."""
-    place = linear(g, "vector", model.place)
-    features = model.no_field
-    if model.config.field:
-        features = g.Add(_image(g, model), _distractors(g, model))
-    scene = sequence(g, g.Add(features, place), model.scene)
-    level = fourier(g, "level", LEVEL_FREQUENCIES)
-    context = g.Add(scene, linear(g, level, model.level))
-    if guided:
-        free = g.Add(sequence(g, g.Add(place, model.no_field), model.scene), model.no_level)
-        as_many = g.Mul(g.Unsqueeze("level", [1]), 0.0)
-        context = g.Concat(context, g.Add(as_many, free), axis=0)
-    return sequence(g, context, model.fuse)
-
-
-def _image(g: Graph, model: PathDiffuser) -> str:
-    x, size = "image", model.config.resolution
-    for layer in model.encoder.convolutions:
-        if isinstance(layer, nn.Conv2d):
-            x = g.Conv(x, layer.weight, layer.bias, strides=[2, 2], pads=[1, 1, 1, 1])
-            size //= 2
-        elif isinstance(layer, nn.GroupNorm):
-            groups, channels = layer.num_groups, layer.num_channels
-            x = g.Reshape(x, [0, groups, -1])
-            x = g.InstanceNormalization(x, np.ones(groups), np.zeros(groups), epsilon=layer.eps)
-            x = g.Reshape(x, [-1, channels, size, size])
-            x = g.Add(g.Mul(x, layer.weight[:, None, None]), layer.bias[:, None, None])
-        else:
-            x = silu(g, x)
-    return linear(g, g.Flatten(x), model.encoder.head)
-
-
-def _distractors(g: Graph, model: PathDiffuser) -> str:
-    """See `Conditions.distractors` and `DistractorEncoder`."""
-    dim, encoder = model.config.dim, model.distractors
-    width = model.place.in_features
-    variance = g.Unsqueeze(g.Exp(g.Mul(g.Slice("vector", [width - 1], [width], [1]), -2.0)), [2])
-    x = g.Concat(
-        g.Mul("slopes", variance),
-        g.Mul(g.Asinh("slopes"), 0.25),
-        g.Unsqueeze(g.Mul(g.Asinh("intercepts"), 0.25), [2]),
-        axis=2,
-    )
-    there = g.Unsqueeze(g.Greater("intercepts", NO_ODDS), [2])
-    rows = sequence(g, g.Reshape(x, [-1, 2 * dim + 1]), encoder.each)
-    size = encoder.head.out_features
-    shape = g.Concat(g.Shape("intercepts"), np.array([size]), axis=0)
-    each = g.Reshape(rows, shape)
-    total = g.Mul(g.ReduceSum(g.Where(there, each, 0.0), [1], keepdims=0), 0.5)
-    most = g.ReduceMax(g.Where(there, each, -np.inf), [1], keepdims=0)
-    return linear(g, g.Concat(total, most, axis=1), encoder.head)
-
-
-def _reader(g: Graph, dim: int, field: bool) -> Callable[[str], tuple[str, str, str]]:
-    """What reads the field and the walls at points `(B, K, D)`, see `PathDiffuser.forward`."""
-    last = dim + dim * dim
-    axes = g.Reshape(g.Slice("vector", [dim], [last], [1]), [-1, dim, dim])
-    half = g.Sqrt(g.ReduceSum(g.Mul(axes, axes), [1], keepdims=1))
-    axes, centre = g.Div(axes, half), g.Unsqueeze(g.Slice("vector", [0], [dim], [1]), [1])
-    slopes, intercepts = g.Transpose("slopes", perm=[0, 2, 1]), g.Unsqueeze("intercepts", [1])
-
-    def reading(points: str) -> tuple[str, str, str]:
-        along = g.Abs(g.MatMul(g.Sub(points, centre), axes))
-        wall = g.Tanh(g.Mul(g.ReduceMin(g.Sub(half, along), [2], keepdims=1), 2.0))
-        if not field:
-            nothing = g.Mul(points, 0.0)
-            return g.Slice(nothing, [0], [1], [2]), nothing, wall
-        odds = g.Add(g.MatMul(points, slopes), intercepts)
-        top = g.ReduceMax(odds, [2], keepdims=1)
-        against = g.Add(top, g.Log(g.ReduceSum(g.Exp(g.Sub(odds, top)), [2], keepdims=1)))
-        shares = g.Mul(g.Exp(g.Sub(odds, against)), g.Sigmoid(against))
-        return (
-            g.Sub(g.Log(g.Add(g.Softplus(against), 1.0)), 1.0),
-            g.Mul(g.Asinh(g.MatMul(shares, "slopes")), 0.5),
-            wall,
+def _check_own(name: str, value: float | None, own: float) -> None:
+    if value is not None and value != own:
+        raise InvalidInputError(
+            f"{name} must be the model's own {own:g} with backend 'onnx', got {value:g}; "
+            "backend 'torch' takes others"
         )
 
-    return reading
+
+def load_graph(model: PathDiffuser | PathPolicy, folder: str | Path | None = None) -> bytes:
+    """The graph of a stage: the one in `folder`, or exported now and kept there.
+
+    To export takes up to a minute. A graph of other settings is replaced; a folder that cannot be
+    written to keeps none.
+
+    Raises:
+        MissingExtraError: the graph must be exported and onnxscript is not installed.
+    """
+    if folder is None:
+        return export_graph(model)
+    file = Path(folder) / ("path.onnx" if isinstance(model, PathDiffuser) else "policy.onnx")
+    if file.is_file() and _fingerprint(model).encode() in (graph := file.read_bytes()):
+        return graph
+    graph = export_graph(model)
+    with contextlib.suppress(OutputError):
+        write_bytes(file, graph)
+    return graph
 
 
-def _from_latent(g: Graph, model: PathDiffuser, latent: str) -> str:
-    deviation = g.Sinh(g.Clip(g.Mul(latent, model.spread), -6.0, 6.0))
-    return g.Add(g.Mul(deviation, model.config.squash), model.straight)
+def export_graph(model: PathDiffuser | PathPolicy) -> bytes:
+    """The serialised ONNX model of a stage with its own steps and guidance, without its weights.
+
+    Raises:
+        MissingExtraError: onnxscript is not installed.
+    """
+    try:
+        import onnx_ir as ir
+        from onnxscript import optimizer
+    except ImportError as cause:
+        raise MissingExtraError(
+            "no ONNX graph fits the model's settings yet, and onnxscript, which exports one, is "
+            "not installed: pip install 'legibility[export]'"
+        ) from cause
+    with _quiet(), torch.no_grad(), torch.device("cpu"):
+        example = _example(model)
+        values, axes = zip(*example.values(), strict=True)
+        program: Any = torch.onnx.export(
+            _Traced(model).eval(), values, dynamo=True, dynamic_shapes=(axes,), optimize=False,
+            input_names=list(example), output_names=["output"], verbose=False,
+        )  # fmt: skip
+    graph = program.model.graph
+    tensors = _tensors(model)
+    # As inputs the weights are unknown to the optimizer, which would fold them into constants.
+    weights = {name: graph.initializers[name] for name in tensors if name in graph.initializers}
+    for name, value in weights.items():
+        del graph.initializers[name]
+        value.const_value = None
+        graph.inputs.append(value)
+    optimizer.optimize(program.model)
+    for value in weights.values():
+        graph.inputs.remove(value)
+    used = {name: value for name, value in weights.items() if value.uses()}
+    for name, value in used.items():
+        shape = ir.Shape(tensors[name].shape)
+        value.const_value = ir.ExternalTensor(
+            "weights", 0, None, ir.DataType.FLOAT, shape=shape, name=name
+        )
+        graph.register_initializer(value)
+    program.model.metadata_props["weights"] = f"<weights>{' '.join(used)}</weights>"
+    for node in graph:  # the exporter's notes are ten times as long as the graph
+        node.metadata_props.clear()
+    program.model.metadata_props["settings"] = _fingerprint(model)
+    return ir.to_proto(program.model).SerializeToString()
+
+
+class _Traced(nn.Module):
+    """The part of a stage that a graph computes; its inputs are those of `_example`."""
+
+    def __init__(self, model: PathDiffuser | PathPolicy) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        if isinstance(self.model, PathPolicy):
+            features, has_path, noise = inputs
+            return self.model.denoise(features, has_path, noise)
+        *scenes, scene, level, noise = inputs
+        conditions = Conditions(*scenes)
+        rows = conditions.without_image().map(lambda x: x.index_select(0, scene))
+        encoded = self.model.encode_scene(conditions).index_select(0, scene)
+        return self.model.draw(rows, encoded, level, noise)
+
+
+def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[int, Any]]]:
+    """Inputs of `_Traced` by name: a value, and the axes that may have any size."""
+    dim, (rows, scenes, others) = model.config.dim, (torch.export.Dim(name) for name in "BSM")
+    if isinstance(model, PathPolicy):
+        return {
+            "features": (torch.zeros(5, model.observe.in_features), {0: rows}),
+            "has_path": (torch.ones(5, dtype=torch.bool), {0: rows}),
+            "noise": (torch.zeros(5, model.config.chunk, dim), {0: rows}),
+        }
+    rng = np.random.default_rng(0)
+    seen = model.conditions([Scene.random(rng, dim=dim, num_goals=4) for _ in range(3)], [0, 0, 0])
+    return {
+        "image": (seen.image, {0: scenes}),
+        "vector": (seen.vector, {0: scenes}),
+        "slopes": (seen.slopes, {0: scenes, 1: others}),
+        "intercepts": (seen.intercepts, {0: scenes, 1: others}),
+        "scene": (torch.tensor([0, 1, 2, 1, 0]), {0: rows}),
+        "level": (torch.zeros(5), {0: rows}),
+        "noise": (torch.zeros(5, NUM_WAYPOINTS, dim), {0: rows}),
+    }
+
+
+def _fingerprint(model: PathDiffuser | PathPolicy) -> str:
+    """Of everything that a graph depends on."""
+    settings = model.config.to_dict()
+    traced = {name: settings.get(name) for name in _TRACED}
+    text = json.dumps([_VERSION, type(model).__name__, traced])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the exporter's advice to its developers."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def _tensors(model: nn.Module) -> dict[str, Tensor]:
+    """Parameters and buffers by their names in a graph."""
+    named = (*model.named_parameters(), *model.named_buffers())
+    return {f"model.{name}": tensor for name, tensor in named}
+
+
+def _session(model: nn.Module, graph: bytes) -> tuple[Any, list[Any]]:
+    """An onnxruntime session on one thread, and the weights that it reads."""
+    try:
+        import onnxruntime
+    except ImportError as cause:
+        raise MissingExtraError(
+            "onnxruntime is not installed: pip install 'legibility[onnx]'"
+        ) from cause
+    listed = re.search(rb"<weights>(.*?)</weights>", graph)
+    names = listed[1].decode().split() if listed else []
+    tensors = _tensors(model)
+    arrays = [np.array(tensors[name].detach().numpy(), np.float32, order="C") for name in names]
+    weights = [onnxruntime.OrtValue.ortvalue_from_numpy(array) for array in arrays]
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    options.add_external_initializers(names, weights)
+    try:
+        session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except Exception as cause:  # onnxruntime has one class an error, and no base class for them
+        raise CheckpointError(f"onnxruntime cannot run the model's graph: {cause}") from cause
+    return session, [arrays, weights]

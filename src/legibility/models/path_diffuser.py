@@ -21,7 +21,6 @@ from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fouri
 __all__ = ["Conditions", "PathDiffuser"]
 
 NO_ODDS = -1e4
-_AT_ONCE = 64  # paths: what their layers hold fits into a core's cache
 LEVEL_FREQUENCIES = 12
 TIME_FREQUENCIES = 16
 
@@ -178,21 +177,17 @@ class PathDiffuser(nn.Module):
 
         Args:
             noisy: `(B, K, D)`, noisy latent.
-            timestep: `(B,)` int, of the noise schedule.
+            timestep: `(B,)` int, of the noise schedule, or `(1,)` for all.
             context: `(B, E)` from `encode`.
-            conditions: of the `B` scenes.
-            keep: `(B,)`, where it is false the field is dropped.
+            conditions: of the `B` scenes, or of one for all.
+            keep: `(B,)` or `(1,)`, where it is false the field is dropped.
         """
         reading = self._read(noisy, conditions)
         if keep is not None:
             reading = reading * keep[:, None, None]
-        every = torch.arange(self.config.diffusion_steps, device=timestep.device)
-        condition = F.silu(context + F.embedding(timestep, self.moments(every)))
+        time = timestep.float() / self.config.diffusion_steps * 2 - 1
+        condition = F.silu(context + self.time(fourier(time, TIME_FREQUENCIES)))
         return self.unet(torch.cat([noisy, reading], dim=-1), condition)
-
-    def moments(self, timestep: Tensor) -> Tensor:
-        """`(B, E)`, what timesteps `(B,)` add to a context."""
-        return self.time(fourier(timestep / self.config.diffusion_steps * 2 - 1, TIME_FREQUENCIES))
 
     @torch.no_grad()
     def _read(self, noisy: Tensor, conditions: Conditions) -> Tensor:
@@ -242,26 +237,30 @@ class PathDiffuser(nn.Module):
             guidance: weight w at ℓ = ±1; the configuration's if not given.
             steps: of the sampler; the configuration's if not given.
         """
-        guidance = self.config.guidance if guidance is None else guidance
-        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
-        context = self._contexts(conditions, level, guided=bool(guidance))
-        weight = guidance * level[:, None, None] ** 4
-        seen, parts = conditions.without_image(), []
-        for first in range(0, len(level), _AT_ONCE):
-            rows = slice(first, first + _AT_ONCE)
-            part = seen if len(seen.vector) == 1 else seen.map(lambda x, rows=rows: x[rows])
-            parts.append(self.denoise(part, context[:, rows], noise[rows], times, weight[rows]))
-        return torch.cat(parts)
+        with torch.autocast(noise.device.type, enabled=False):
+            scene = self.encode_scene(conditions)
+            return self.draw(conditions, scene, level, noise, guidance=guidance, steps=steps)
 
-    def _contexts(self, conditions: Conditions, level: Tensor, guided: bool) -> Tensor:
-        """`(1, B, E)` from `encode`; guided `(2, B, E)`, what it gives of nothing besides."""
-        size, scene = len(level), self.encode_scene(conditions).expand(len(level), -1)
-        if not guided:
-            return self.encode(scene, level)[None]
-        free = self._without_field(conditions)
-        keep = torch.arange(size + len(free), device=level.device) < size
-        both = self.encode(torch.cat([scene, free]), torch.cat([level, level[: len(free)]]), keep)
-        return torch.stack([both[:size], both[size:].expand(size, -1)])
+    def draw(
+        self,
+        conditions: Conditions,
+        scene: Tensor,
+        level: Tensor,
+        noise: Tensor,
+        *,
+        guidance: float | None = None,
+        steps: int | None = None,
+    ) -> Tensor:
+        """`sample` after `encode_scene` gave `scene (B, E)`, or `(1, E)` for all."""
+        guidance = self.config.guidance if guidance is None else guidance
+        times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
+        context = self.encode(scene, level)
+        if not guidance:
+            return self.denoise(conditions, context, noise, times)
+        never = torch.zeros(1, dtype=torch.bool, device=noise.device)
+        nothing = self.encode(self._without_field(conditions), level, never)
+        weight = guidance * level[:, None, None] ** 4
+        return self.denoise(conditions, context, noise, times, nothing, weight)
 
     def denoise(
         self,
@@ -269,29 +268,27 @@ class PathDiffuser(nn.Module):
         context: Tensor,
         noise: Tensor,
         times: Sequence[int],
+        nothing: Tensor | None = None,
         weight: Tensor | float = 0.0,
     ) -> Tensor:
         """Waypoints `(B, K, D)` of `noise (B, K, D)` at the diffusion steps `times`.
 
-        What modulates the blocks does not depend on the latent: it is computed for all steps first.
-
         Args:
             conditions: of the `B` scenes, or of one for all.
-            context: `(1, B, E)` from `encode`, or `(2, B, E)` with that of nothing besides.
+            context: `(B, E)` from `encode`.
             noise: standard normal.
             times: see `sampling_timesteps`.
-            weight: `(B, 1, 1)` of the guidance away from the second context.
+            nothing: `(B, E)` from `encode` without field and ℓ, for guidance.
+            weight: `(B, 1, 1)` of the guidance away from `nothing`.
         """
-        moments = self.moments(torch.tensor(times, device=noise.device))[:, None, None]
-        modulations = self.unet.modulations(F.silu(context + moments).flatten(1, 2))
+        steps = torch.tensor(times, device=noise.device)[:, None]
+        never = torch.zeros(1, dtype=torch.bool, device=noise.device)
 
         def velocity(latent: Tensor, i: int) -> Tensor:
-            reading = self._read(latent, conditions)
-            inputs = torch.cat([latent, reading], dim=-1)
-            if len(context) == 2:  # with and without conditions in one batch
-                inputs = torch.cat([inputs, F.pad(latent, (0, reading.shape[-1]))])
-            found = self.unet.modulated(inputs, [(m[0][i], m[1][i]) for m in modulations])
-            guided, free = found[: len(latent)], found[-len(latent) :]
+            guided = self(latent, steps[i], context, conditions)
+            if nothing is None:
+                return guided
+            free = self(latent, steps[i], nothing, conditions, never)
             return guided + weight * (guided - free)
 
         return self.from_latent(ddim(velocity, noise, self.signal, times))

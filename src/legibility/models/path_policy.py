@@ -119,10 +119,20 @@ class PathPolicy(ActionDenoiser):
             noise: `(B, chunk, D)` standard normal; the same noise gives the same actions.
             steps: of the sampler; the configuration's if not given.
         """
-        context = self.encode(
-            torch.from_numpy(observation.features), torch.from_numpy(observation.has_path)
-        )
-        times = sampling_timesteps(len(self.signal), steps or self.config.sampling_steps)
-        actions = ddim(self._denoiser(context, times), noise, self.signal, times)
-        actions = (actions * self.scale).double().numpy() * self.config.limit
-        return actions @ observation.rotation
+        features, has_path = map(torch.from_numpy, (observation.features, observation.has_path))
+        with torch.autocast("cpu", enabled=False):
+            actions = self.denoise(features, has_path, noise, steps)
+        return actions.double().numpy() * self.config.limit @ observation.rotation
+
+    def denoise(
+        self, features: Tensor, has_path: Tensor, noise: Tensor, steps: int | None = None
+    ) -> Tensor:
+        """`act` in limits and in each robot's frame, `(B, chunk, D)`."""
+        context = self.encode(features, has_path)
+        times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
+        timesteps = torch.tensor(times, device=noise.device)[:, None]
+
+        def velocity(noisy: Tensor, i: int) -> Tensor:
+            return self(noisy, timesteps[i], context)
+
+        return ddim(velocity, noise, self.signal, times) * self.scale

@@ -16,6 +16,7 @@ from ..errors import CheckpointError, InvalidInputError
 from ..intent.metrics import SCORE_POINTS
 from ..scene import Scene
 from .configuration import PathDiffuserConfig
+from .diffusion import standard_normal
 from .frame import Frame
 from .path_diffuser import PathDiffuser
 
@@ -82,10 +83,8 @@ class PathSampler:
             `(B, K + 2, D)` [m]; its ends are start and goal exactly.
         """
         size, dim = len(levels), self.config.dim
-        noise = torch.randn(
-            size, NUM_WAYPOINTS, dim, generator=torch.Generator().manual_seed(seed),
-            dtype=torch.float32, device="cpu",
-        )  # fmt: skip
+        generator = torch.Generator("cpu").manual_seed(seed)
+        noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         level = torch.from_numpy(levels.astype(np.float32))
         options: dict[str, Any] = sampling._asdict()
         waypoints = self.sample(

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from ..errors import CheckpointError, TrainingError
-from ..files import file_hash, read_text, write_json
+from ..files import at_home, file_hash, read_text, write_json
 from .checkpoint import load_state, load_tensors, save_tensors
 from .configuration import GoalPolicyConfig, PathDiffuserConfig, PathPolicyConfig
 from .goal_policy import GoalPolicy
@@ -46,8 +46,8 @@ def pretrained_folder(name_or_folder: str | Path) -> Path:
     names = sorted({name for stage in _STAGES for name in pretrained_names(stage)})
     if str(name_or_folder) in names:
         return _WEIGHTS / str(name_or_folder)
-    if Path(name_or_folder).is_dir():
-        return Path(name_or_folder)
+    if (folder := at_home(name_or_folder)).is_dir():
+        return folder
     raise CheckpointError(
         f"there are no weights {str(name_or_folder)!r}: give a folder or one of {names}"
     )
@@ -74,7 +74,7 @@ def save_stage(
     Raises:
         TrainingError: a parameter is not finite in float16.
     """
-    folder = Path(folder)
+    folder = at_home(folder)
     entries = _read_config(folder) if (folder / "config.json").exists() else {}
     weights = folder / f"{stage}.safetensors"
     halves = {name: parameter.detach().half() for name, parameter in model.named_parameters()}
@@ -140,7 +140,9 @@ def _read_config(folder: Path) -> dict[str, Any]:
 def _load_stage(folder: Path, name: str, entry: dict[str, Any]) -> Any:
     config_type, network = _STAGES[name]
     try:
-        model = network(config_type.from_dict(entry["config"]))
+        config = config_type.from_dict(entry["config"])
+        with torch.device("cpu"):  # in float32 on the CPU, whatever PyTorch's defaults
+            model = network(config).float()
     except CheckpointError:
         raise
     except (ValueError, KeyError, TypeError, RuntimeError) as cause:

@@ -1,1 +1,1 @@
-"""Curves from start to goal and the quality-diversity archive that covers them."""
+"""Curves from start to goal, the quality-diversity archive that covers them, and tracking."""

@@ -1,4 +1,4 @@
-"""The quality-diversity archive: all ways to reach a goal, each scored and labelled (paper, V.B).
+"""The quality-diversity archive: all ways to reach a goal, scored and labelled (paper, V.B).
 
 MAP-Elites (Mouret & Clune 2015) over cubic Béziers: random curves first, then variations of the
 elites until hardly any new cell fills. A cell is a place of the workspace, a curve belongs to the
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, count, finite_array, positive, random_seed, target_index
+from ..checks import Array, count, finite_array, positive, seed_or_entropy, target_index
 from ..curves import farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.field import InformationPotentialField
@@ -26,8 +26,8 @@ __all__ = ["Archive", "CurveGrid", "build_archive", "random_controls"]
 
 _BATCH = 1024
 _REACH = 1 / 3
-"""How far beyond the workspace control points are drawn, as a share of its side: a cubic Bézier
-gets three quarters of the way to its control points, so this much lets it touch the walls."""
+"""How far beyond the workspace control points are drawn, as a share of its side. A cubic Bézier
+gets three quarters of the way to its control points, so this lets it touch the walls."""
 
 DEFAULT_CELLS = {2: 48, 3: 16}
 """Cells along each axis of the workspace, by dimension."""
@@ -39,17 +39,17 @@ class Archive:
 
     Attributes:
         scene: the scene.
-        target: index of the goal that is meant.
-        observer: who scored and labelled them.
+        target: index of the intended goal.
+        observer: the one who scored and labelled them.
         controls: `(N, 4, D)` [m], control points of the cubic Béziers.
         trajectories: `(N, T, D)` [m], at equal arc length.
         descriptors: `(N, D)` [m], the most deviating point of each.
-        energies: `(N,)` [m²], bending energy, the quality that a cell keeps the least of.
+        energies: `(N,)` [m²], bending energy, which a cell minimises.
         scores: `(N,)`, `legibility_score`, higher = more legible.
         labels: `(N,)` in [−1, 1].
         straight_score: the straight line's score, where the anchored label is 0.
-        num_candidates: curves tried, those that left the workspace among them.
-        cells_reached: cells that the most deviating point of any candidate fell into, valid or not.
+        num_candidates: curves tried, including those that left the workspace.
+        cells_reached: cells that the most deviating point of any candidate fell into.
     """
 
     scene: Scene
@@ -78,6 +78,7 @@ class Archive:
         """Cells filled, as a share of the cells that any candidate reached."""
         return len(self) / self.cells_reached
 
+    @np.errstate(under="ignore")
     def label_of(self, scores: ArrayLike) -> Array:
         """The achieved label of any scores `(...)`: monotone in the score, clipped to [−1, 1].
 
@@ -87,6 +88,7 @@ class Archive:
         knots, labels = self._knots
         return np.interp(scores, knots, labels)
 
+    @np.errstate(under="ignore")
     def score_of(self, labels: ArrayLike) -> Array:
         """The inverse of `label_of`: the score `(...)` at which a label is read."""
         knots, values = self._knots
@@ -111,7 +113,7 @@ class CurveGrid:
 
     Args:
         scene: gives the two ends and the workspace.
-        target: index of the goal that is meant.
+        target: index of the intended goal.
         cells: cells along each axis.
     """
 
@@ -159,12 +161,13 @@ class CurveGrid:
         return new
 
 
+@np.errstate(under="ignore")
 def build_archive(
     scene: Scene,
     target: int = 0,
     *,
     observer: Observer = DEFAULT_OBSERVER,
-    seed: int | np.random.SeedSequence = 0,
+    seed: int | np.random.SeedSequence | None = 0,
     cells: int | None = None,
     random_candidates: int = 4096,
     max_candidates: int = 65_536,
@@ -174,14 +177,14 @@ def build_archive(
 
     Args:
         scene: the scene.
-        target: index of the goal that is meant.
-        observer: who scores and labels them.
-        seed: of the curves drawn.
+        target: index of the intended goal.
+        observer: the one who scores and labels them.
+        seed: of the random curves; None draws others each time.
         cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
         random_candidates: curves with random control points, drawn first.
-        max_candidates: curves in all at most.
-        patience: variation ends when a batch fills fewer new cells than this share of those filled,
-            four batches running.
+        max_candidates: most curves in all.
+        patience: variation ends after four batches in a row that each fill fewer new cells than
+            this share of those filled.
 
     Raises:
         InvalidInputError: an argument is out of its range.
@@ -196,7 +199,7 @@ def build_archive(
     max_candidates = count("max_candidates", max_candidates, low=random_candidates)
     positive("patience", patience)
     if not isinstance(seed, np.random.SeedSequence):
-        seed = random_seed("seed", seed)
+        seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
     grid = CurveGrid(scene, target, cells)

@@ -28,6 +28,7 @@ def bezier_points(controls: Array, num_points: int) -> Array:
     return _bernstein(num_points) @ controls
 
 
+@np.errstate(under="ignore")
 def bezier_trajectories(controls: Array, num_points: int) -> Array:
     """`(N, num_points, D)` at equal steps of arc length, of curves `controls (N, 4, D)` [m].
 
@@ -56,6 +57,7 @@ def bezier_trajectories(controls: Array, num_points: int) -> Array:
     return points
 
 
+@np.errstate(under="ignore")
 def bending_energy(controls: Array) -> Array:
     """`∫₀¹ ‖B″(u)‖² du` of curves `controls (..., 4, D)`, `(...)` [m²]; lower = smoother.
 

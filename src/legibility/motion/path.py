@@ -20,17 +20,17 @@ __all__ = ["Path", "scene_archive", "straight_waypoints"]
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """One path, or `B` of them, from the start of a scene to the goal that is meant.
+    """One path, or `B` of them, from the start of a scene to the intended goal.
 
     Attributes:
         scene: the scene.
-        target: index of the goal that is meant.
-        legibility: ℓ as asked, a number or `(B,)`.
+        target: index of the intended goal.
+        legibility: the asked ℓ, a number or `(B,)`.
         waypoints: `(K + 2, D)` or `(B, K + 2, D)` [m]: start, K = 8 waypoints, goal; inside the
             workspace.
-        clipped: bool or `(B,)`: whether the curve that the network drew left the workspace and was
-            brought back to its wall.
-        observer: who reads it.
+        clipped: bool or `(B,)`, whether the drawn curve left the workspace and was moved back to
+            its wall.
+        observer: the one whose labels ℓ means.
     """
 
     scene: Scene

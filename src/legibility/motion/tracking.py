@@ -1,4 +1,4 @@
-"""Where a robot is on its path, what lies ahead, and a feedback controller that follows it."""
+"""Progress along a path, the stretch ahead, and a feedback controller that follows it."""
 
 from __future__ import annotations
 
@@ -45,22 +45,24 @@ class PathTracker:
         self.lengths = arc_length(self._curves)
         self.progress = np.zeros(len(paths))
 
+    @np.errstate(under="ignore")
     def _dense(self, paths: Array) -> Array:
         return resample(np.clip(path_curve(paths, _POINTS), *self.workspace), _POINTS)
 
     def replace(self, rows: NDArray[np.intp], paths: Array) -> None:
-        """Give `rows` (indices) new `paths (N, K + 2, D)`, at whose starts they are."""
+        """Give `rows` (indices) new `paths (N, K + 2, D)`, which start at the robots."""
         self._curves[rows] = self._dense(paths)
         self.lengths[rows] = arc_length(self._curves[rows])
         self.progress[rows] = 0
 
     def of(self, rows: NDArray[np.intp]) -> PathTracker:
-        """A tracker of `rows` (indices) alone, as they are now."""
+        """A tracker of `rows` (indices) only, with their current progress."""
         part = copy.copy(self)
         for name in ("_curves", "lengths", "progress"):
             setattr(part, name, getattr(self, name)[rows])
         return part
 
+    @np.errstate(under="ignore")
     def points(self, arc: Array) -> Array:
         """Points `(B, P, D)` [m] at arc lengths `(B, P)` [m]; beyond the end it is the goal."""
         size = self._curves.shape[1] - 1
@@ -74,6 +76,7 @@ class PathTracker:
         """Points `(B, P, D)` [m] at arc lengths `offsets (P,)` or `(B, P)` [m] ahead."""
         return self.points(self.progress[:, None] + offsets)
 
+    @np.errstate(under="ignore")
     def update(self, positions: Array, previous: Array) -> None:
         """The robots have moved from `previous` to `positions (B, D)` [m]."""
         moved = np.linalg.norm(positions - previous, axis=-1)
@@ -93,6 +96,7 @@ class PathTracker:
         return np.linalg.norm(self.ahead(np.zeros(1))[:, 0] - positions, axis=-1)
 
 
+@np.errstate(under="ignore")
 def feedback_action(tracker: PathTracker, positions: Array) -> Array:
     """Displacements `(B, D)` [m] that lead to a point a little ahead on the path.
 

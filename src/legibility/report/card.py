@@ -1,4 +1,4 @@
-"""Tables and model cards, rendered from the JSON that the evaluations wrote."""
+"""Model cards: how weights were made and how good they are."""
 
 from __future__ import annotations
 
@@ -6,319 +6,229 @@ from typing import Any
 
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
-from ..evaluation.ablations import COLUMNS
-from ..evaluation.dial import FIGURES, worst
-from ..evaluation.execution import ROWS
-from .wording import WORLDS, filled, goals_of, threads_of
+from ..evaluation.comparison import METHODS
+from ..models.provenance import TrainingRecord
+from .results import Results, headline_table, well_formed
+from .table import Part, Table, markdown, number
+from .wording import WORLDS, goals_of, percent, threads_of
 
-__all__ = [
-    "ablations_section",
-    "demonstrated",
-    "dial_section",
-    "dial_table",
-    "execution_section",
-    "render_card",
-    "replace_table",
-    "trained",
-]
+__all__ = ["render_card"]
 
-
-def dial_table(document: dict[str, Any]) -> str:
-    """The dial's figures as a Markdown table, from the JSON of `legibility evaluate dial`."""
-    overall = document["result"]["overall"]
-    rows = [
-        "| figure | mean over scenes | 95 % interval | worst scene |",
-        "| --- | --- | --- | --- |",
-    ]
-    for name, figure in FIGURES.items():
-        if name in overall:
-            low, high = overall[name]["interval"]
-            least = worst(name, overall[name])
-            shown = "" if least is None else f"{least:.4f}"
-            mean = overall[name]["mean"]
-            rows.append(f"| {figure.text} | {mean:.4f} | {low:.4f} to {high:.4f} | {shown} |")
-    return "\n".join(rows)
-
-
-def dial_section(document: dict[str, Any]) -> str:
-    """The table, what it was measured on and by which command, in Markdown."""
-    config, result = document["config"], document["result"]
-    if config["closed_loop"]:
-        how = f"""\
-Every path is executed by stage 2 in {WORLDS[result["env"]]}, and what is scored is the executed
-motion. One that arrives ends within 2 cm of the target, so it may be a little shorter than its
-path."""
-    else:
-        how = f"""\
-One path is drawn for a sample; only the row "with candidates" takes the nearest of
-{config["candidates"]}. One plan took {result["plan_ms"]:.1f} ms on one core."""
-    on = filled(f"""\
-On {len(result["scenes"])} random scenes with {goals_of(config)} that training never drew
-(seed {document["seed"]}), {len(result["levels"])} levels of ℓ, {config["samples"]} paths each.
-{how}""")
-    return f"""\
-{on}
-
-{dial_table(document)}
-
-Measured by `{document["command"]}`."""
-
-
-def execution_section(document: dict[str, Any]) -> str:
-    """Executed motions by stage 2 and by what it is held against, in Markdown."""
-    config, result = document["config"], document["result"]
-    table = [
-        "| what moves the robot | success (95 % interval) | within 5 cm | Spearman | error of ℓ "
-        "| distance from the curve | planned anew | stopped early |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for name, row in result["rows"].items():
-        low, high = row["success"]["interval"]
-        dial = [f"{row[key]['mean']:.4f}" if key in row else "–" for key in ("spearman", "error")]
-        near = f"{row['within_5_cm']:.2%}" if "within_5_cm" in row else "–"
-        ends = [
-            f"{number:,} {reason}"
-            for reason, number in sorted(row["reasons"].items())
-            if reason != "reached"
-        ]
-        table.append(
-            f"| {ROWS[name].text} | {row['success']['mean']:.2%} ({low:.2%} to {high:.2%}) "
-            f"| {near} | {' | '.join(dial)} | {row['deviation']['mean']:.2%} "
-            f"| {row['replanned']:.2%} | {', '.join(ends)} |"
-        )
-    plan = result["rows"]["policy"]
-    kinds = ("states_outside", "actions_not_finite", "actions_over_limit", "wall_contacts")
-    found = [sum(row[kind] for row in result["rows"].values()) for kind in kinds]
-    on = filled(f"""\
-{config["rollouts"]:,} rollouts a row on {config["scenes"]} random scenes with
-{goals_of(config)} that training never drew (seed {document["seed"]}), ℓ uniform in [−1, 1], in
-{WORLDS[result["env"]]}. All rows share scenes, levels, plans and robots. A push displaces the
-robot, a move the target, by {100 * result["disturbance"]:g} cm in a random direction half-way.""")
-    means = filled(f"""\
-Spearman's correlation and the mean error compare the asked ℓ with that of the executed motion,
-whether it arrived or not; where the target moved there is none, as ℓ belongs to a scene. The
-distance is that from the curve that was followed at the time, over the length of the first. The
-plans alone have a correlation of {plan["spearman_of_plan"]["mean"]:.4f} and an error of
-{plan["error_of_plan"]["mean"]:.4f}. In all rows together {found[0]:,} states were outside the
-workspace{_farthest(result)}, {found[1]} actions not finite, {found[2]} over the limit, and
-{found[3]} steps were stopped by a wall.{_counted(result)}""")
-    speed = filled(f"""\
-One control step of one robot took {result["step_ms"]:.2f} ms on one core, the policy included and
-amortised over its chunk. With {result["at_once"]} robots at once
-{result["rollouts_per_second"]:.0f} rollouts a second were planned and executed on
-{threads_of(result)}; as many in the environment alone take
-{result["env_steps_per_second"]:,.0f} control steps a second on one core.""")
-    return f"""\
-{on}
-
-{chr(10).join(table)}
-
-{means}
-
-{speed}
-
-Measured by `{document["command"]}`."""
-
-
-def ablations_section(document: dict[str, Any]) -> str:
-    """The dial of weights sampled otherwise and of small runs that lack a part, in Markdown."""
-    config = document["config"]
-    table = [
-        f"| what is changed | {' | '.join(COLUMNS.values())} | one plan |",
-        "| --- " * (len(COLUMNS) + 2) + "|",
-    ]
-    for row in document["result"]["rows"].values():
-        figures = " | ".join(f"{row['overall'][name]['mean']:.4f}" for name in COLUMNS)
-        table.append(f"| {row['text']} | {figures} | {row['plan_ms']:.1f} ms |")
-    on = filled(f"""\
-Means over {config["scenes"]} random scenes with {goals_of(config)} that training never drew (seed
-{document["seed"]}), {config["levels"]} levels of ℓ, {config["samples"]} paths each. The first rows
-are the weights themselves, sampled otherwise. The small runs have the same network but only
-{config["training_steps"]:,} steps of training, on {config["training_scenes"]:,} scenes where no
-other number is named, so they are to be compared with the first of them, not with the weights.
-Without the field, and on rank labels, a path on the wrong side of the straight line is not drawn
-again; on rank labels ℓ = 0 is not the straight line. Lengths are in those of the straight line; a
-plan was timed on one core.""")
-    return f"""\
-{on}
-
-{chr(10).join(table)}
-
-Measured by `{document["command"]}`."""
-
-
-def _farthest(result: dict[str, Any]) -> str:
-    farthest = max(row["farthest_outside"] for row in result["rows"].values())
-    return f" (by at most {1e3 * farthest:.1f} mm)" if farthest > 0 else ""
-
-
-def _counted(result: dict[str, Any]) -> str:
-    """What an arm's environment counted in the rows in which stage 2 moves it undisturbed."""
-    counts = result["rows"]["policy"]["counts"]
-    if not counts:
-        return ""
-    found = ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
-    return f" Stage 2, not disturbed, had {found}."
-
-
-def replace_table(text: str, name: str, table: str) -> str:
-    """`text` with what stands between `<!-- NAME -->` and `<!-- /NAME -->` replaced."""
-    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-    head, found, rest = text.partition(begin)
-    _, closed, tail = rest.partition(end)
-    if not (found and closed):
-        raise InvalidInputError(f"there is no part between {begin} and {end}")
-    return f"{head}{begin}\n{table}\n{end}{tail}"
-
-
-def render_card(name: str, config: dict[str, Any], documents: dict[str, dict[str, Any]]) -> str:
-    """The model card of weights, from `config.json` and the JSON of the evaluations.
-
-    Args:
-        name: of the weights.
-        config: the content of `config.json`.
-        documents: by kind, `dial` and, with a stage 2, `closed-loop`, `execution` and, if it was
-            measured, `transfer`.
-
-    Raises:
-        InvalidInputError: a measurement is missing or of other weights, or how they were made is
-            not known.
-    """
-    stages = {stage: entry for stage, entry in config.items() if stage != "format"}
-    needed = {"dial": ["path"]}
-    if "policy" in stages:
-        needed |= {"closed-loop": ["path", "policy"], "execution": ["path", "policy"]}
-        if "transfer" in documents:
-            needed["transfer"] = ["path", "policy"]
-    for kind, used in needed.items():
-        if kind not in documents:
-            raise InvalidInputError(f"there is no {kind}-{name}.json beside the other measurements")
-        for stage in used:
-            if documents[kind]["model"].get(stage) != stages[stage]["sha256"]:
-                raise InvalidInputError(
-                    f"the measurement {kind}-{name}.json is of other weights than those of {name}"
-                )
-    for stage, entry in stages.items():
-        if not entry["training"]:
-            raise InvalidInputError(
-                f"the configuration of {name} does not say how its {stage} was trained"
-            )
-    path, training = stages["path"]["config"], stages["path"]["training"]
-    data = training["data"]
-    does = _STAGE_1 + _STAGE_2 if "policy" in stages else _STAGE_1
-    parts = [
-        f"""\
+_HEAD = """\
 ---
 license: mit
 library_name: legibility
-tags: [robotics, human-robot-interaction, legibility, diffusion]
+tags: [robotics, human-robot-interaction, legibility, diffusion{tag}]
 ---
 
 # {name}
 
-The Legibility Modulator for {path["dim"]}-D block reaching.
-
-{does}
-Use it with `legibility.Modulator.from_pretrained("{name}")`.
-
-## Data
-""",
-        filled(f"""\
-{data["scenes"]:,} random scenes with {goals_of(data)} (stream `{data["stream"]}`, seed
-{data["seed"]}), {data["per_scene"]} trajectories a scene chosen flat along ℓ from its
-quality-diversity archive; labels `{path["label"]}`, σ = {path["sigma"]} m, α = {path["alpha"]}.
-SHA-256 over the shards: `{training["digest"]}`."""),
-        "\n## Training of stage 1\n",
-        *_stage_1(path, training),
-    ]
-    if "policy" in stages:
-        policy = stages["policy"]["training"]
-        parts += [
-            "\n## Training of stage 2\n",
-            demonstrated(policy, path["dim"]),
-            "",
-            trained(policy, "{batch:,} moments of demonstrations"),
-        ]
-    parts += ["\n## How exact the dial is\n", dial_section(documents["dial"])]
-    if "policy" in stages:
-        parts += [
-            "\n## How well motions are executed\n",
-            execution_section(documents["execution"]),
-            "\n## How exact the dial of executed motions is\n",
-            dial_section(documents["closed-loop"]),
-        ]
-    if "transfer" in documents:
-        parts += [
-            "\n## How well motions are executed in a simulator that was not trained in\n",
-            execution_section(documents["transfer"]),
-        ]
-    parts += [
-        "\n## Limits\n",
-        filled(f"""\
-The observer is a model (a Gaussian around each goal), not a person. It was trained on the default
-workspace of {path["dim"]}-D scenes alone; obstacles are not known. Labels are ranks within a
-scene's archive: the same ℓ is a different score in another scene."""),
-        "",
-    ]
-    return "\n".join(parts)
-
-
-_STAGE_1 = f"""\
-* Stage 1, the intent-aware path diffuser: from start, goals and ℓ in [−1, 1] to {NUM_WAYPOINTS}
-  waypoints.
 """
-_STAGE_2 = """\
-* Stage 2, the path-guided policy: from two states, goal and path to actions, closed loop.
-"""
+_POINTER = (
+    "All metrics with their intervals, and the commands that measured them, are in the "
+    "repository's `docs/results.md`."
+)
 
 
-def _stage_1(config: dict[str, Any], training: dict[str, Any]) -> list[str]:
-    """How stage 1 was trained; of one that was distilled, how its teacher was before."""
+def render_card(name: str, config: dict[str, Any], results: Results) -> str:
+    """The model card of weights.
+
+    Args:
+        name: of the weights.
+        config: the content of their `config.json`.
+        results: of `read_results`. The modulator needs `dial` and, with a stage 2, `closed-loop`
+            and `execution`; Legibility Diffuser needs `tuning`.
+
+    Raises:
+        InvalidInputError: a result is missing or of other weights, or the training is not known.
+    """
+    with well_formed(f"cannot make the card of {name}"):
+        records = {}
+        for stage, entry in config.items():
+            if stage != "format":
+                if not entry["training"]:
+                    raise InvalidInputError(
+                        f"the configuration of {name} does not say how its {stage} was trained"
+                    )
+                records[stage] = TrainingRecord.from_dict(entry["training"])
+        if "goal" in records:
+            head, parts = _HEAD.format(name=name, tag=", baseline"), _baseline
+        else:
+            head, parts = _HEAD.format(name=name, tag=""), _modulator
+        return head + markdown(parts(name, config, records, results)) + "\n"
+
+
+def _modulator(
+    name: str, config: dict[str, Any], records: dict[str, TrainingRecord], results: Results
+) -> list[Part]:
+    kinds = ["dial", *(["closed-loop", "execution"] if "policy" in records else [])]
+    for kind in kinds:
+        if name not in results.get(kind, {}):
+            raise InvalidInputError(f"there is no {kind}-{name}.json beside the other results")
+        for stage in records if kind != "dial" else ["path"]:
+            _check(f"{kind}-{name}", results[kind][name]["model"], name, stage, config)
+    path, record = config["path"]["config"], records["path"]
+    observer, data = path["observer"], record.data
+    stages = f"Stage 1, the path diffuser, turns start, goals and ℓ into {NUM_WAYPOINTS} waypoints."
+    if "policy" in records:
+        stages += " Stage 2, the path-guided policy, turns the path into actions, closed loop."
+    parts: list[Part] = [
+        f"The Legibility Modulator for {path['dim']}-D block reaching. {stages} Load it with "
+        f'`legibility.Modulator.from_pretrained("{name}")`.',
+        "## Data",
+        f"{data['scenes']:,} random scenes with {goals_of(data)} (stream `{data['stream']}`, seed "
+        f"{data['seed']}), {data['per_scene']} trajectories a scene, chosen flat along ℓ from its "
+        f"quality-diversity archive; labels `{observer['label']}`, σ = {observer['sigma']} m, α = "
+        f"{observer['alpha']}. SHA-256 over the shards: `{record.digest}`.",
+        "## Training of stage 1",
+        *_stage_1(path, record),
+    ]
+    if "policy" in records:
+        policy = records["policy"]
+        parts += [
+            "## Training of stage 2",
+            _demonstrated(policy, path["dim"]),
+            _trained(policy, "{batch:,} moments of demonstrations"),
+        ]
+    table = headline_table({kind: results[kind] for kind in kinds}, {name: "value"})
+    return [
+        *parts,
+        "## Metrics",
+        table,
+        _POINTER,
+        "## Limits",
+        "The observer is a model (a Gaussian around each goal), not a person. The weights were "
+        f"trained in the default workspace of {path['dim']}-D scenes only and know no obstacles. "
+        "Labels are ranks within a scene's archive: the same ℓ is another score in another scene.",
+    ]
+
+
+def _stage_1(path: dict[str, Any], record: TrainingRecord) -> list[Part]:
+    """The training of stage 1, after that of its teacher if it was distilled."""
     batch = "{scenes} scenes × {per_scene} trajectories"
-    teacher = training.get("teacher")
+    teacher, settings = record.teacher, record.training
     if teacher is None:
-        return [trained(training, batch)]
-    steps, before = config["sampling_steps"], teacher["sampling_steps"]
-    settings, own = training["training"], teacher["training"]
-    first = ["How its teacher was made is not known."]
-    if own is not None:
+        return [_trained(record, batch)]
+    first: list[Part] = ["The training of its teacher is not known."]
+    if teacher.training is not None:
         first = [
-            f"First a teacher, on data of SHA-256 `{own['digest']}`:\n", trained(own, batch)
-        ]  # fmt: skip
+            f"First a teacher, on data of SHA-256 `{teacher.training.digest}`:",
+            _trained(teacher.training, batch),
+        ]
+    steps = path["sampling_steps"]
     return [
         *first,
-        "",
-        filled(f"""\
-Then what the teacher (SHA-256 `{teacher["sha256"]}`) draws in {before} steps with guidance
-{teacher["guidance"]:g} was distilled into a student that draws in {steps} step{"s" * (steps > 1)}
-without. In every scene of the data above the teacher drew {settings["pairs"]} paths, ℓ all over
-the dial; from the same noise the student is to draw nearly the same path, the label that its path
-achieves is to be the asked one (weight {settings["score_weight"]:g}), and the path is to have no
-more jerk than its teacher's (weight {settings.get("jerk_weight", 0):g}). The first of these minutes
-were the teacher's:"""),
-        "",
-        trained(training, batch),
+        f"Then a student that draws in {steps} step{'s' * (steps > 1)} without guidance was "
+        f"distilled from the teacher (SHA-256 `{teacher.sha256}`), which draws in "
+        f"{teacher.sampling_steps} with guidance {teacher.guidance:g}. In every scene the teacher "
+        f"drew {settings['pairs']} paths over the whole dial; from the same noise the student "
+        "learns to draw nearly the same path, to achieve the asked label (weight "
+        f"{settings['score_weight']:g}), and to have no more jerk (weight "
+        f"{settings['jerk_weight']:g}). The time includes the teacher's draws:",
+        _trained(record, batch),
     ]
 
 
-def demonstrated(training: dict[str, Any], dim: int) -> str:
+def _baseline(
+    name: str, config: dict[str, Any], records: dict[str, TrainingRecord], results: Results
+) -> list[Part]:
+    method = next((m for m in METHODS if name.startswith(m.replace(" ", "-"))), None)
+    if method is None:
+        raise InvalidInputError(f"the name {name} is not that of a method")
+    shape, record = config["goal"]["config"], records["goal"]
+    parts: list[Part] = [
+        f"{METHODS[method].text} for {shape['dim']}-D block reaching, a baseline of the Legibility "
+        f"Modulator: two states and a goal to a chunk of {shape['chunk']} actions, of which "
+        f"{shape['execute']} are executed.",
+        "## Training",
+        _demonstrated(record, shape["dim"]),
+        _trained(record, "{batch:,} moments of demonstrations"),
+    ]
+    if shape["guidance"] > 0:
+        tuning = results.get("tuning", {}).get(name)
+        if tuning is None:
+            raise InvalidInputError(f"there is no tuning-{name}.json beside the other results")
+        _check(f"tuning-{name}", tuning["model"], name, "goal", config)
+        parts += ["## Guidance", _tuned(name, shape, tuning["result"]["tuning"])]
+    table = Table("", "success", "L_d over oracle", "L_p over oracle")
+    for kind in ("table1", "unseen"):
+        for environment, document in results.get(kind, {}).items():
+            for used in document["baselines"]:
+                if used["name"] == name:
+                    _check(f"{kind}-{environment}", used, name, "goal", config)
+                    _add_comparison(table, kind, method, document["result"])
+    if table.rows:
+        parts += ["## Metrics", "At ℓ = 1; on held-out scenes medians.", table, _POINTER]
+    return [
+        *parts,
+        "## Limits",
+        "It is trained on stage 2's demonstrations, which reach goals in many random scenes in all "
+        "ways, with stage 2's budget and network size, and not, as by its authors, on "
+        "demonstrations of a single scene; it does not reach the paper's numbers.",
+    ]
+
+
+def _add_comparison(table: Table, kind: str, method: str, result: dict[str, Any]) -> None:
+    metrics = ("distance_score", "potential_cost")
+    values, world = result["methods"][method], WORLDS[result["env"]]
+    if kind == "unseen":
+        ratios = (number(values["ratio"][m]["median"]) for m in metrics)
+        table.add_row(f"held-out scenes, {world}", percent(values["success"]["mean"]), *ratios)
+        return
+    for letter, target in values["targets"].items():
+        ratios = (number(target[m]["mean"] / result["oracle"][letter][m]) for m in metrics)
+        table.add_row(
+            f"Table I toward {letter}, {world}", percent(target["success"]["mean"]), *ratios
+        )
+
+
+def _tuned(name: str, shape: dict[str, Any], tuning: list[dict[str, float]]) -> str:
+    """The chosen guidance and the rule of the choice."""
+    chosen = {key: shape[key] for key in ("guidance", "guidance_decay", "guidance_share")}
+    best = next((row for row in tuning if chosen.items() <= row.items()), None)
+    if best is None:
+        raise InvalidInputError(f"tuning-{name}.json has no row of the chosen guidance {chosen}")
+    needed = min(0.99, max(row["success"] for row in tuning))
+    most = max(tuning, key=lambda row: row["achieved"])
+    return (
+        "ε̂ = (1 + w) ε(g*) − a w ε(g⁻) − (1 − a) w ε(∅), w ← γ w after every executed chunk "
+        "(Bronars, Cheng and Xu 2024), with the mean over several g⁻. Of "
+        f"{len(tuning)} combinations tried on validation scenes (`results/tuning-{name}.json`), "
+        f"this is the most legible one that reaches the goal in {needed:.0%} of them: w = "
+        f"{best['guidance']:g}, γ = {best['guidance_decay']:g}, a = {best['guidance_share']:g}, "
+        f"with {best['success']:.1%} success and a mean achieved ℓ of {best['achieved']:.3f}. The "
+        f"most legible of all (w = {most['guidance']:g}, γ = {most['guidance_decay']:g}, a = "
+        f"{most['guidance_share']:g}) achieves {most['achieved']:.3f} with {most['success']:.1%} "
+        "success."
+    )
+
+
+def _demonstrated(record: TrainingRecord, dim: int) -> str:
     """The demonstrations that a policy learned from."""
-    shown = training["demonstrations"]
-    scenes = shown["demonstrated"] or training["data"]["scenes"]
-    return filled(f"""\
-{shown["number"]:,} demonstrations, {shown["demonstrations"]} in each of {scenes:,} scenes
-of the same data: a feedback controller follows paths of the archive in
-{"BlockReach2D" if dim == 2 else "PandaBlockReach, on MuJoCo"}, with noise of
-{1e3 * shown["noise"]:g} mm a step and, in {shown["pushed"]:.0%}, a push of
-{1e2 * shown["push"]:g} cm. SHA-256 over the shards: `{training["digest"]}`.""")
+    shown = record.demonstrations or {}
+    scenes = shown["demonstrated"] or record.data["scenes"]
+    return (
+        f"{shown['number']:,} demonstrations, {shown['demonstrations']} in each of {scenes:,} "
+        "scenes of the same data: a feedback controller follows paths of the archive in "
+        f"{'BlockReach2D' if dim == 2 else 'PandaBlockReach, on MuJoCo'}, with noise of "
+        f"{1e3 * shown['noise']:g} mm a step and, in {shown['pushed']:.0%}, a push of "
+        f"{1e2 * shown['push']:g} cm. SHA-256 over the shards: `{record.digest}`."
+    )
 
 
-def trained(training: dict[str, Any], batch: str) -> str:
-    """How a network was trained, on batches as the text `batch` says."""
-    settings = training["training"]
-    alone = settings["steps"] * training["step_seconds"] / 60
-    return filled(f"""\
-{training["parameters"]:,} parameters; {settings["steps"]:,} batches of {batch.format(**settings)},
-seed {settings["seed"]}, in {training["seconds"] / 60:.0f} minutes on {training["device"]}
-({threads_of(training)}, PyTorch {training["torch"]}), validation included. The
-machine is shared: by the quickest tenth of the log the batches alone take {alone:.0f} minutes.""")
+def _trained(record: TrainingRecord, batch: str) -> str:
+    """The size and the duration of a training; `batch` describes a batch."""
+    settings = record.training
+    alone = settings["steps"] * record.step_seconds / 60
+    return (
+        f"{record.parameters:,} parameters; {settings['steps']:,} batches of "
+        f"{batch.format(**settings)}, seed {settings['seed']}, in {record.seconds / 60:.0f} "
+        f"minutes on {record.device} ({threads_of(vars(record))}, PyTorch {record.torch}), "
+        "validation included. The machine is shared: at the speed of the fastest tenth of the log "
+        f"the batches alone take {alone:.0f} minutes."
+    )
+
+
+def _check(stem: str, used: dict[str, str], name: str, stage: str, config: dict[str, Any]) -> None:
+    if used.get(stage) != config[stage]["sha256"]:
+        raise InvalidInputError(f"{stem}.json is a result of other weights than {name}")

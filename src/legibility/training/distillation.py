@@ -97,7 +97,7 @@ class DistillationBatches(PathBatches):
         times = sampling_timesteps(len(model.signal), config.sampling_steps)
         with self.team.autocast():
             scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]))
-            context = model.encode(scene.repeat_interleave(per, 0), level)[None]
+            context = model.encode(scene.repeat_interleave(per, 0), level)
             found = model.denoise(conditions, context, noise, times)
         found = found.float()
         taught = self.waypoints[each, chosen]

@@ -1,0 +1,98 @@
+"""The figure of planned paths."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+
+from ..envs.colors import MUTED
+from .scene_axes import name_ends, scene_axes, scene_cells
+from .style import (
+    DASHED,
+    DOTTED,
+    HALO,
+    LABELS,
+    PAGE,
+    REDS,
+    add_lines,
+    compare_labels,
+    figure_file,
+    label_ticks,
+)
+
+if TYPE_CHECKING:
+    from ..motion.path import Path
+
+__all__ = ["plan_figure"]
+
+
+def plan_figure(path: Path, file: str | FilePath) -> None:
+    """Draw planned paths, the belief in the target along them, and the labels achieved.
+
+    The scene to scale over the target's potential, paths light to dark red with ℓ (dashed where
+    ℓ = 0); `P(g*|x_t)` over progress t; with more than one ℓ, asked against achieved.
+
+    Args:
+        path: one path or a batch.
+        file: .png, .pdf or .svg.
+
+    Raises:
+        OutputError: another suffix, or the file cannot be written.
+    """
+    scene, target = path.scene, path.target
+    levels, achieved = np.atleast_1d(path.legibility), np.atleast_1d(path.achieved)
+    num = len(levels)
+    order = np.argsort(levels, kind="stable")
+    levels, achieved = levels[order], achieved[order]
+    waypoints = path.waypoints.reshape(num, -1, scene.dim)[order]
+    curves = path.trajectory(129).reshape(num, -1, scene.dim)[order]
+    colors = REDS(LABELS(levels))
+    several = levels[0] < levels[-1]
+    few = num <= 25
+    lines: dict[str, Any] = {
+        "colors": colors,
+        "linewidths": 1.5 if few else 0.7,
+        "linestyles": [DASHED if abs(level) < 1e-6 else "solid" for level in levels],
+        "path_effects": HALO if few else None,
+    }
+
+    with figure_file(file, PAGE if several else 0.62 * PAGE, 2.5) as figure:
+        margin = 1.5 if several else 0.8
+        cells = scene_cells(figure, scene, 3 if several else 2, height=1.95, margin=margin)
+        axes = scene_axes(figure, cells[0], scene, target, curves, path.field)
+        add_lines(axes, curves, **lines)
+        if num <= 11:
+            for points, color in zip(waypoints[:, 1:-1], colors, strict=True):
+                axes.plot(*points.T, "o", ms=2.2, mfc="white", mec=color, mew=0.7, zorder=5)
+        if several:
+            bar = figure.colorbar(ScalarMappable(LABELS, REDS), ax=axes, aspect=24, pad=0.03)
+            label_ticks(bar)
+            bar.set_label(r"legibility $\ell$", labelpad=0)
+            bar.outline.set_visible(False)
+        else:
+            axes.set_title(rf"$\ell$ = {levels[0]:g}, achieved {achieved.mean():.2f}")
+
+        panel = figure.add_subplot(cells[1], xlim=(0, 1), ylim=(0, 1.02), xlabel="progress $t$")
+        panel.set_title("observer’s belief $P(g^*|x_t)$")
+        chance = path.field.prior[target]
+        panel.set_xticks((0, 0.5, 1), ("0", "0.5", "1"))
+        panel.set_yticks((0, chance, 1), ("0", "chance", "1"))
+        panel.axhline(chance, color=MUTED, lw=0.7, ls=DOTTED, zorder=0)
+        panel.spines[:].set_zorder(5)
+        progress = np.linspace(0, 1, curves.shape[1])
+        beliefs = path.field.posterior(curves)[..., target]
+        add_lines(panel, [np.stack([progress, row], axis=-1) for row in beliefs], **lines)
+
+        if several:
+            panel = figure.add_subplot(cells[2], title="asked and achieved")
+            compare_labels(panel)
+            panel.scatter(
+                levels, achieved, s=18 if few else 8, c=colors, ec="white", linewidths=0.4,
+                zorder=3, clip_on=False,
+            )  # fmt: skip
+            error = np.abs(achieved - levels).mean()
+            panel.text(0.97, 0.04, f"mean error {error:.3f}", ha="right", transform=panel.transAxes)
+        name_ends(figure, axes, scene, target, curves)

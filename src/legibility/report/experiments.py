@@ -1,0 +1,147 @@
+"""Run the measurements of `experiments.toml` that are missing or out of date.
+
+    python -m legibility.report.experiments [--workers N] [NAME ...]
+
+runs in the current folder, where `experiments.toml` and `results/` lie.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from ..errors import InvalidInputError
+from ..files import file_hash, read_text
+
+__all__ = ["Experiment", "main", "read_experiments"]
+
+_WEIGHTS = Path(__file__).parent.parent / "weights"
+_MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
+"""A module of each extra."""
+_PARALLEL = ("evaluate dial", "evaluate execution", "evaluate table1", "evaluate unseen",
+             "evaluate ablations")  # fmt: skip
+"""Verbs with `--workers`, which does not change their metrics."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A measurement.
+
+    Attributes:
+        name: its result is `results/NAME.json`.
+        command: arguments of `legibility`.
+        weights: names of the shipped weights that the result records.
+        extras: extras of the package that must be installed.
+        data: a folder that must exist.
+        by_name: whether it runs only if it is named.
+    """
+
+    name: str
+    command: str
+    weights: Sequence[str]
+    extras: Sequence[str] = ()
+    data: str | None = None
+    by_name: bool = False
+
+    @property
+    def file(self) -> Path:
+        """The file of the result."""
+        return Path("results") / f"{self.name}.json"
+
+    @property
+    def arguments(self) -> list[str]:
+        """The arguments of `legibility`, with those that name the file."""
+        return [*shlex.split(self.command), "--json", self.file.as_posix()]
+
+    def missing(self) -> list[str]:
+        """The needs that are not met here."""
+        extras = [f"the extra {e}" for e in self.extras if find_spec(_MODULES[e]) is None]
+        data = self.data is not None and not Path(self.data).is_dir()
+        return extras + [f"the folder {self.data} (`make weights`)"] * data
+
+    def is_done(self) -> bool:
+        """Whether the result was made by this command with the weights as they are now."""
+        try:
+            document = json.loads(self.file.read_text(encoding="utf-8"))
+            command = shlex.split(document["command"])[1:]
+            used = [document["model"], *document.get("baselines", []),
+                    *document["config"].get("weights", [])]  # fmt: skip
+            recorded = {model.pop("name"): model for model in used}
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+            return False
+        current = {name: _hashes(name) for name in self.weights}
+        return _without_workers(command) == self.arguments and recorded == current
+
+
+def read_experiments(file: Path) -> dict[str, Experiment]:
+    """The entries of `experiments.toml` by name.
+
+    Raises:
+        InvalidInputError: it cannot be read, or an entry is malformed.
+    """
+    try:
+        content = tomllib.loads(read_text(file, "experiments"))
+        return {name: Experiment(name, **entry) for name, entry in content.items()}
+    except (tomllib.TOMLDecodeError, TypeError, AttributeError) as cause:
+        raise InvalidInputError(f"{file} is malformed: {cause}") from cause
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiments and return the exit status: 1 if one failed."""
+    parser = argparse.ArgumentParser(prog="experiments", description="run experiments.toml")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    options = parser.parse_args(arguments)
+    experiments = read_experiments(Path("experiments.toml"))
+    for name in options.names:
+        if name not in experiments:
+            parser.error(f"{name} is none of {', '.join(experiments)}")
+    failed = []
+    for name, experiment in experiments.items():
+        if name not in options.names if options.names else experiment.by_name:
+            continue
+        if experiment.is_done():
+            print(f"done: {name}", flush=True)
+        elif missing := experiment.missing():
+            print(f"SKIPPED: {name} needs {', '.join(missing)}", flush=True)
+        else:
+            command = ["legibility", *experiment.arguments]
+            if experiment.command.startswith(_PARALLEL):
+                command += ["--workers", str(options.workers)]
+            print(shlex.join(command), flush=True)
+            run = subprocess.run([sys.executable, "-m", *command], check=False)
+            if run.returncode:
+                failed.append(name)
+    if failed:
+        print(f"FAILED: {', '.join(failed)}", flush=True)
+    return int(bool(failed))
+
+
+def _hashes(name: str) -> dict[str, str]:
+    """The hash of each file of shipped weights by its stage."""
+    return {file.stem: file_hash(file) for file in (_WEIGHTS / name).glob("*.safetensors")}
+
+
+def _without_workers(command: list[str]) -> list[str]:
+    """The arguments without `--workers N`."""
+    if "--workers" not in command:
+        return command
+    first = command.index("--workers")
+    return command[:first] + command[first + 2 :]
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except InvalidInputError as error:
+        sys.exit(f"experiments: {error}")
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the same command resumes")

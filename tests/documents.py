@@ -1,0 +1,167 @@
+"""Results as `legibility` writes them, with made-up numbers."""
+
+from legibility.evaluation.comparison import METHODS, OURS, TESTED
+from legibility.evaluation.comparison import METRICS as MOTION_METRICS
+from legibility.evaluation.dial import METRICS
+from legibility.evaluation.execution import ROWS
+
+MODEL = {"name": "m", "path": "a" * 64, "policy": "b" * 64}
+OF_PATHS, OF_MOTIONS = {"error_candidates", "drawn_inside"}, {"success", "deviation"}
+
+
+def summary(mean):
+    return {"mean": mean, "interval": [mean - 0.01, mean + 0.01], "min": mean - 0.1, "max": mean}
+
+
+def dial(closed_loop=False):
+    names = [n for n in METRICS if n not in (OF_PATHS if closed_loop else OF_MOTIONS)]
+    return {
+        "command": "legibility evaluate dial --scenes 3", "seed": 7, "model": MODEL,
+        "config": {"scenes": 3, "goals": [2, 6], "levels": 21, "samples": 8, "candidates": 16,
+                   "closed_loop": closed_loop},
+        "result": {**({"env": "BlockReach2D"} if closed_loop else {}),
+                   "overall": {name: summary(0.5 + i / 100) for i, name in enumerate(names)},
+                   "levels": [-1, 0, 1], "plan_ms": 7.25, "scenes": [{}, {}, {}]},
+    }  # fmt: skip
+
+
+def execution():
+    rows = {}
+    for number, name in enumerate(ROWS):
+        rows[name] = {
+            "success": {"mean": 1 - number / 1000, "interval": (0.9, 1.0)},
+            "reasons": {"reached": 5000 - number, "stalled": number} if number else
+            {"reached": 5000},
+            "within_5_cm": 0.995, "spearman_of_plan": summary(0.97), "error_of_plan": summary(0.01),
+            "counts": {}, "farthest_outside": -0.001,
+            "spearman": summary(0.9), "error": summary(0.02), "deviation": summary(0.0012),
+            "replanned": 0.25, "states_outside": 1, "actions_not_finite": 0,
+            "actions_over_limit": 2, "wall_contacts": 3,
+        }  # fmt: skip
+    for key in ("spearman", "error", "within_5_cm"):
+        del rows["policy, goal moved"][key]
+    return {
+        "command": "legibility evaluate execution --seed 7", "seed": 7, "model": MODEL,
+        "config": {"rollouts": 5000, "scenes": 200, "goals": [2, 6], "disturbance": None},
+        "result": {"rows": rows, "step_ms": 0.876, "rollouts_per_second": 321.4, "at_once": 256,
+                   "threads": 2, "env": "BlockReach2D", "disturbance": 0.1,
+                   "env_steps_per_second": 4321.0},
+    }  # fmt: skip
+
+
+def transfer():
+    document = execution()
+    document["result"]["env"] = "PandaGymBlockReach"
+    for number, row in enumerate(document["result"]["rows"].values()):
+        row |= {"counts": {"table_contacts": number, "self_collisions": 2},
+                "farthest_outside": 0.0012}  # fmt: skip
+    return document
+
+
+def ablations():
+    names = ("spearman", "error", "at_1", "at_-1", "at_0", "length_ratio_at_0")
+    overall = {name: summary(0.5 + i / 100) for i, name in enumerate(names)}
+    rows = {name: {"text": f"row {name}", "small_run": name == "b", "sha256": "a" * 64,
+                   "overall": overall, "plan_ms": 7.25} for name in "ab"}  # fmt: skip
+    return {
+        "command": "legibility evaluate ablations --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 50, "goals": [2, 6], "levels": 11, "samples": 4,
+                   "training_steps": 3000, "training_scenes": 3200},
+        "result": {"rows": rows, "data": "d" * 64},
+    }  # fmt: skip
+
+
+def tests(cells):
+    pairs = [(ours, name) for ours in OURS for name in METHODS if name not in OURS]
+    pairs += [("search", "diffusion policy"), ("straight line", "diffusion policy")]
+    return [
+        {"cell": cell, "method": a, "against": b, "effect": -0.5 if a == "search" else 0.5,
+         "p_holm": 0.5 if a == "straight line" else 0.0001}
+        for cell in cells for a, b in pairs
+    ]  # fmt: skip
+
+
+BASELINES = [{"name": "diffusion-policy-x", "goal": "e" * 64},
+             {"name": "legibility-diffuser-x", "goal": "f" * 64}]  # fmt: skip
+
+
+def table1():
+    target = {"success": {"mean": 0.9996}, **{m: summary(1.5) for m in MOTION_METRICS}}
+    methods = {
+        name: {"milliseconds": None if name == "oracle" else {"plan": 1.25, "motion": 30},
+               "targets": {"R": target, "G": target}}
+        for name in METHODS
+    }  # fmt: skip
+    return {
+        "command": "legibility evaluate table1 --seed 7", "seed": 7, "model": MODEL,
+        "baselines": BASELINES, "config": {"rollouts": 100},
+        "result": {
+            "env": "BlockReach2D", "scene": {"start": [0, 0.5]}, "methods": methods,
+            "oracle": {letter: dict.fromkeys(TESTED, 3.0) for letter in "RG"},
+            "tests": tests([f"{letter} {metric}" for letter in "RG" for metric in TESTED]),
+            "search": [64, 640],
+        },
+    }  # fmt: skip
+
+
+def unseen():
+    ratio = {"median": 0.25, "interval": [0.125, 0.5]}
+    methods = {
+        name: {"success": {"mean": 0.75}, "ratio": dict.fromkeys(TESTED, ratio),
+               "length_ratio": summary(1.5), "achieved": summary(0.5),
+               **({"spearman": summary(0.875), "error": summary(0.0625)} if method.dial else {})}
+        for name, method in METHODS.items()
+    }  # fmt: skip
+    return {
+        "command": "legibility evaluate unseen --seed 7", "seed": 7, "model": MODEL,
+        "baselines": BASELINES,
+        "config": {"scenes": 10, "goals": [2, 6], "rollouts": 4, "levels": 11},
+        "result": {
+            "env": "BlockReach2D", "methods": methods, "tests": tests(TESTED), "search": [64, 640],
+            "least": {"potential_cost": 1e-9},
+        },
+    }  # fmt: skip
+
+
+def spectrum(rising=0):
+    costs = [3.0, 2.0 + 1.5 * rising, 1.0]
+    target = {"mean": costs, "achieved": [-1, 0, 1], "rising": rising, "success": 1.0}
+    return {
+        "command": "legibility evaluate spectrum --seed 7", "seed": 7, "model": MODEL,
+        "config": {"rollouts": 4, "levels": 3},
+        "result": {"env": "BlockReach2D", "levels": [-1, 0, 1],
+                   "targets": {"R": target, "G": target}},
+    }  # fmt: skip
+
+
+def _row(metric, median, **conditions):
+    return {
+        "metric": metric, **conditions,
+        "median": median, "low": median / 2, "high": 2 * median, "calls": 9,
+    }  # fmt: skip
+
+
+def bench(model="m"):
+    torch, onnx = ({"model": model, "backend": backend} for backend in ("torch", "onnx"))
+    return {
+        "command": "legibility bench", "seed": None, "model": MODEL,
+        "config": {
+            "rounds": 3, "seconds": 0.2, "batches": [1, 1024], "goals": [2, 4],
+            "robots": 256, "arms": 16,
+        },
+        "result": {
+            "machine": {"cpu": "Z80", "cores": 1, "threads": 1, "device": "cpu", "torch": "2.13",
+                        "load": 0.5},
+            "skipped": ["onnxruntime is not installed"],
+            "measurements": [
+                _row("plan_ms", 2, **torch, batch=1, goals=4),
+                _row("plan_ms", 4000, **torch, batch=1024, goals=4),
+                _row("plan_ms", 3, **torch, batch=1, goals=2),
+                _row("plan_ms", 1, **onnx, batch=1, goals=4),
+                _row("plan_one_core_ms", 0.5, **onnx),
+                _row("archive_ms", 64.04, dim=2),
+                _row("training_steps_per_second", 16, dim=2, precision="bf16"),
+                _row("import_ms", 100),
+            ],
+        },
+    }  # fmt: skip

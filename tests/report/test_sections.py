@@ -1,0 +1,141 @@
+"""Sections say what was measured."""
+
+import documents
+import pytest
+
+from legibility.evaluation.comparison import CANDIDATES, METHODS, OURS
+from legibility.evaluation.dial import METRICS
+from legibility.evaluation.execution import ROWS
+from legibility.report.comparison import spectrum_section, table1_section, unseen_section
+from legibility.report.dial import ablations_section, dial_section
+from legibility.report.execution import execution_section
+from legibility.report.table import Bold, Table
+
+
+def text_of(section):
+    return " ".join(part for part in section if isinstance(part, str))
+
+
+def tables_of(section):
+    return [part for part in section if isinstance(part, Table)]
+
+
+class TestDial:
+    @pytest.mark.parametrize("closed_loop", [False, True])
+    def test_every_metric_is_there(self, closed_loop):
+        document = documents.dial(closed_loop)
+        section = dial_section(document)
+        (table,) = tables_of(section)
+        overall = document["result"]["overall"]
+        assert [row[0] for row in table.rows] == [METRICS[name].text for name in overall]
+        for row, values in zip(table.rows, overall.values(), strict=True):
+            assert row[1] == f"{values['mean']:.4f}"
+            assert row[2] == "{:.4f} to {:.4f}".format(*values["interval"])
+        text = text_of(section)
+        assert "3 held-out random scenes with 2 to 6 goals (seed 7)" in text
+        assert ("Stage 2 executes" in text) == closed_loop
+        assert ("7.2 ms on one core" in text) != closed_loop
+
+    def test_one_number_of_goals(self):
+        document = documents.dial()
+        document["config"]["goals"] = [4, 4]
+        assert "scenes with 4 goals" in text_of(dial_section(document))
+
+
+class TestExecution:
+    def test_every_row_is_there(self):
+        (table,) = tables_of(execution_section(documents.execution()))
+        assert [row[0] for row in table.rows] == [row.text for row in ROWS.values()]
+        assert table.rows[0][1:] == (
+            "100.00% (90.00% to 100.00%)", "99.50%", "0.9000", "0.0200", "0.12%", "25.00%", ""
+        )  # fmt: skip
+        assert table.rows[1][-1] == "1 stalled"
+        assert table.rows[2][2:5] == ("–", "–", "–")
+
+    def test_violations_are_those_of_all_rows(self):
+        text, number = text_of(execution_section(documents.execution())), len(ROWS)
+        assert f"{number} states outside the workspace, 0 actions that were not finite" in text
+        assert f"{2 * number} actions over the limit, and {3 * number} steps stopped" in text
+
+    def test_conditions(self):
+        text = text_of(execution_section(documents.execution()))
+        assert "5,000 rollouts a row on 200 held-out random scenes with 2 to 6 goals" in text
+        assert "in a random direction, by 10 cm" in text
+        assert "0.88 ms on one core" in text
+        assert "256 robots at once, 321 rollouts a second" in text
+        assert "on 2 threads; the environment alone ran 4,321 control steps a second" in text
+        assert "a correlation of 0.9700 and an error of 0.0100" in text
+
+    def test_counts_of_an_arm(self):
+        text = text_of(execution_section(documents.transfer()))
+        assert "outside the workspace (by at most 1.2 mm)" in text
+        assert "undisturbed, had 0 table contacts, 2 self collisions." in text
+        assert "the Panda of panda-gym" in text
+
+
+class TestAblations:
+    def test_every_row_is_there(self):
+        (table,) = tables_of(ablations_section(documents.ablations()))
+        cells = ("0.5000", "0.5100", "0.5200", "0.5300", "0.5500", "7.2")
+        assert table.rows == [("row a", *cells), ("row b", *cells)]
+
+    def test_conditions(self):
+        text = text_of(ablations_section(documents.ablations()))
+        assert "50 held-out random scenes with 2 to 6 goals (seed 7)" in text
+        assert "only 3,000 training steps, on 3,200 scenes" in text
+
+
+class TestTable1:
+    def test_every_method_is_there(self):
+        table, others, _ = tables_of(table1_section(documents.table1()))
+        names = [method.text for method in METHODS.values()]
+        assert [row[0] for row in table.rows] == [*names, "Dataset Oracle, the curve itself"]
+        assert [row[0] for row in others.rows] == names
+        assert others.rows[0][1:] == ("1.500", "1.500", "1.500", "1.500", "1.2", "30.0")
+        assert others.rows[-1][-2:] == ("–", "–")
+        assert "time to confidence" in [column.text for column in others.columns]
+
+    def test_cells_are_beside_the_papers(self):
+        rows = {row[0]: row for row in tables_of(table1_section(documents.table1()))[0].rows}
+        ours = rows[METHODS["modulator"].text]
+        assert ours[1] == "99.9%"  # never rounded up to all
+        assert ours[2] == Bold("1.50 (0.50)")
+        assert ours[3] == "1.96 (0.97)"
+        assert rows[METHODS["search"].text][2] == "1.50 (0.50)"  # worse
+        assert rows[METHODS["straight line"].text][2:4] == ("1.50 (0.50)", "–")  # not shown
+
+    def test_tests(self):
+        table = tables_of(table1_section(documents.table1()))[-1]
+        assert len(table.rows) == len(OURS) * (len(METHODS) - len(OURS))
+        assert table.rows[0][:2] == ("one path", "straight line")
+        assert table.rows[0][2] == "better, +0.50, p < 0.001"
+        assert table.rows[-1][0] == f"best of {CANDIDATES}"
+
+    def test_worse_is_bold(self):
+        document = documents.table1()
+        for test in document["result"]["tests"]:
+            test["effect"] = -0.25
+        assert tables_of(table1_section(document))[-1].rows[0][2] == Bold(
+            "worse, −0.25, p < 0.001"
+        )  # fmt: skip
+
+
+def test_unseen():
+    section = unseen_section(documents.unseen())
+    table, _ = tables_of(section)
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert list(rows) == [method.text for method in METHODS.values()]
+    ratio = "0.250 (0.125 to 0.500)"
+    assert rows["Diffusion Policy"] == ("75.00%", ratio, ratio, "1.500", "0.500", "–", "–")
+    assert rows["Legibility Modulator"][1:3] == (Bold(ratio), Bold(ratio))
+    assert rows["Legibility Modulator"][-2:] == ("0.8750", "0.0625")
+    assert "10 held-out random scenes with 2 to 6 goals (seed 7)" in text_of(section)
+
+
+def test_spectrum():
+    section = spectrum_section(documents.spectrum())
+    assert "toward R it falls at every level, from 3.00 to 1.00" in text_of(section)
+    (table,) = tables_of(section)
+    assert table.rows[0] == ("-1.00", "3.00", "-1.000", "3.00", "-1.000")
+    rising = text_of(spectrum_section(documents.spectrum(rising=1)))
+    assert "rises at 1 of 2 levels, by at most 16.67%" in rising
