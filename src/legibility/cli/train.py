@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,13 +68,7 @@ class Files:
 
 @dataclass(frozen=True)
 class Job:
-    """Files, workers and device of a training.
-
-    Attributes:
-        files: files that are read and written.
-        workers: processes that make the validation data.
-        where: device and precision of the training.
-    """
+    """What every training has: files, workers that make validation data, device and precision."""
 
     files: Files
     workers: Workers
@@ -94,23 +88,8 @@ _GoalModel = Annotated[Any, arg(constructor=flags(GoalPolicyConfig, "dim", "limi
 
 
 def path(job: _Job, training: _Path, model: _PathModel) -> None:
-    """Train stage 1, the path diffuser, and save its weights to OUT/weights.
-
-    Args:
-        job: files, workers and device.
-        training: how to train.
-        model: the network.
-    """
-    settings = made(PathTrainingConfig, training)
-    _check_files(job.files)
-    from ..data.dataset import Dataset
-    from ..training.path import train_path
-
-    data = Dataset.load(job.files.data)
-    team, validation = _ready(job, data.config)
-    with _run(job, team) as run:
-        trained = train_path(data, validation, run, settings, **vars(model))
-    _save(job, team, "path", trained, validation)
+    """Train stage 1, the path diffuser, and save its weights to OUT/weights."""
+    _train(job, "path", made(PathTrainingConfig, training), model)
 
 
 def distill(
@@ -122,8 +101,6 @@ def distill(
     beside them.
 
     Args:
-        job: files, workers and device.
-        training: how to train.
         teacher: name or folder of the weights to distill.
     """
     settings = made(DistillationConfig, training)
@@ -155,25 +132,13 @@ def distill(
 
 
 def policy(job: _Job, training: _Policy, model: _PolicyModel) -> None:
-    """Train stage 2, the path-guided policy, and save its weights to OUT/weights.
-
-    Args:
-        job: files, workers and device.
-        training: how to train.
-        model: the network.
-    """
-    _train_policy(job, "policy", training, model)
+    """Train stage 2, the path-guided policy, and save its weights to OUT/weights."""
+    _train(job, "policy", made(PolicyTrainingConfig, training), model)
 
 
 def diffusion_policy(job: _Job, training: _Unguided, model: _GoalModel) -> None:
-    """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility.
-
-    Args:
-        job: files, workers and device.
-        training: how to train.
-        model: the network.
-    """
-    _train_policy(job, "goal", training, model)
+    """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility."""
+    _train(job, "goal", made(PolicyTrainingConfig, training), model)
 
 
 def legibility_diffuser(job: _Job, training: _Guided, model: _GoalModel) -> None:
@@ -181,25 +146,22 @@ def legibility_diffuser(job: _Job, training: _Guided, model: _GoalModel) -> None
 
     It is a goal-conditioned policy whose goal is sometimes dropped in training. The JSON records
     the measurements of every combination of weight, decay and share of the guidance.
-
-    Args:
-        job: files, workers and device.
-        training: how to train.
-        model: the network.
     """
-    _train_policy(job, "goal", training, model, tune=True)
+    _train(job, "goal", made(PolicyTrainingConfig, training), model, tune=True)
 
 
-def _train_policy(job: Job, stage: str, training: Any, model: Any, tune: bool = False) -> None:
-    settings = made(PolicyTrainingConfig, training)
+def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) -> None:
+    """Train a stage from nothing and save it."""
     _check_files(job.files)
+    from ..data.dataset import Dataset
     from ..data.demonstrations import Demonstrations
     from ..training.goal import train_goal, tune_guidance
+    from ..training.path import train_path
     from ..training.policy import train_policy
 
-    train: Any = {"policy": train_policy, "goal": train_goal}[stage]
-    data = Demonstrations.load(job.files.data)
-    team, validation = _ready(job, data.dataset)
+    data: Any = (Dataset if stage == "path" else Demonstrations).load(job.files.data)
+    train: Any = {"path": train_path, "policy": train_policy, "goal": train_goal}[stage]
+    team, validation = _ready(job, data.config if stage == "path" else data.dataset)
     with _run(job, team) as run:
         trained = train(data, validation, run, settings, **vars(model))
     tuning = {}
@@ -273,11 +235,8 @@ def _save(
 
     files, record, metrics = job.files, trained.record, trained.metrics
     save_stage(files.saved, stage, trained.model, record)
-    measured = {
-        name: value
-        for name, value in asdict(record).items()
-        if name not in ("data", "digest", "training", "demonstrations", "teacher")
-    }
+    source = {"data", "digest", "demonstrations", "teacher", "training"}
+    measured = {name: value for name, value in vars(record).items() if name not in source}
     write_report(
         files.json,
         seed=record.training["seed"],

@@ -17,7 +17,7 @@ from ..models.configuration import GoalPolicyConfig
 from ..models.goal_policy import GoalPolicy, goal_features
 from ..rollout import Rollout
 from .configuration import PolicyTrainingConfig
-from .loop import Run, Trained, new_model
+from .loop import Run, Trained
 from .policy import Samples, fit, joined, moments, rollouts_of
 
 __all__ = ["GUIDANCE", "train_goal", "tune_guidance", "validate_goal"]
@@ -39,26 +39,15 @@ def train_goal(
     config: PolicyTrainingConfig | None = None,
     **settings: Any,
 ) -> Trained[GoalPolicy]:
-    """Train a goal-conditioned policy on `data` and validate it in the scenes of `validation`.
+    """Train a goal-conditioned policy, validated by rollouts in the scenes of `validation`.
 
     With the configured probability the null condition replaces the goal, as in guided sampling.
-
-    Args:
-        data: demonstrations.
-        validation: a dataset of another seed stream.
-        run: where to train.
-        config: how to train.
-        **settings: of `GoalPolicyConfig`, without `dim` and `limit`, which the data fix.
-
-    Raises:
-        InvalidInputError: the validation data are of another dimension.
-        CheckpointError: see `train`.
+    Arguments are those of `train_policy`; `settings` are of `GoalPolicyConfig`.
     """
-    config = config or PolicyTrainingConfig()
-    shape = GoalPolicyConfig(**settings, dim=data.paths.shape[-1], limit=data.limit)
-    model = new_model(GoalPolicy, shape, config.seed)
-    samples = toward_goals(data, shape.chunk)
-    return fit(model, samples, data, validation, validate_goal, config, run)
+    return fit(
+        GoalPolicy, GoalPolicyConfig, toward_goals, validate_goal,
+        data, validation, run, config, settings,
+    )  # fmt: skip
 
 
 def toward_goals(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:

@@ -120,7 +120,6 @@ def train(
     board = _tensorboard(run.folder, state.step) if team.main else None
     scaler, generator = team.scaler(), torch.Generator()
     started = time.perf_counter() - state.seconds
-    _keep_memory()
     model.train()
     try:
         for step in range(state.step, config.steps):
@@ -172,10 +171,9 @@ def _take_step(
     optimizer, parameters = state.optimizer, state.parameters
     for group in optimizer.param_groups:
         group["lr"] = config.learning_rate * _schedule(state.step, config)
-    with team.products():
-        value, parts = loss(state.model, generator)
-        optimizer.zero_grad(set_to_none=True)
-        scaler.scale(value).backward()
+    value, parts = loss(state.model, generator)
+    optimizer.zero_grad(set_to_none=True)
+    scaler.scale(value).backward()
     if team.size > 1:
         gradients = [p.grad for p in parameters if p.grad is not None]
         for gradient, mean in zip(gradients, team.mean(gradients), strict=True):
@@ -233,15 +231,6 @@ def _tensorboard(folder: Path, step: int) -> Any:
     except ImportError:
         return None
     return SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
-
-
-def _keep_memory() -> None:
-    """Let the C library reuse the memory that a step frees, which saves the next one page faults.
-
-    glibc returns memory to the system block by block until it has seen a large block freed, of up
-    to 32 MB; elsewhere this does nothing.
-    """
-    torch.empty(31 << 20, dtype=torch.uint8)
 
 
 def _mix(seed: int, step: int) -> int:

@@ -21,7 +21,7 @@ from ..drivers import Driver, Policy
 from ..envs import vector_type
 from ..envs.fleet import Fleet
 from ..errors import InvalidInputError
-from ..models.configuration import PathPolicyConfig
+from ..models.configuration import ActionConfig, PathPolicyConfig
 from ..models.diffusion import noised
 from ..models.goal_policy import GoalPolicy
 from ..models.path_policy import Observation, PathPolicy
@@ -165,32 +165,36 @@ def train_policy(
         InvalidInputError: the validation data are of another dimension.
         CheckpointError: see `train`.
     """
-    config = config or PolicyTrainingConfig()
-    shape = PathPolicyConfig(**settings, dim=data.paths.shape[-1], limit=data.limit)
-    model = new_model(PathPolicy, shape, config.seed)
-    samples = along_paths(data, shape.chunk)
-    return fit(model, samples, data, validation, validate_policy, config, run)
+    return fit(
+        PathPolicy, PathPolicyConfig, along_paths, validate_policy,
+        data, validation, run, config, settings,
+    )  # fmt: skip
 
 
 P = TypeVar("P", PathPolicy, GoalPolicy)
 
 
 def fit(
-    model: P,
-    samples: tuple[Samples, Samples],
+    network: Callable[[Any], P],
+    shape: type[ActionConfig],
+    samples: Callable[[Demonstrations, int], tuple[Samples, Samples]],
+    validate: Callable[[P, Dataset], dict[str, float]],
     data: Demonstrations,
     validation: Dataset,
-    validate: Callable[[P, Dataset], dict[str, float]],
-    config: PolicyTrainingConfig,
     run: Run,
+    config: PolicyTrainingConfig | None,
+    settings: dict[str, Any],
 ) -> Trained[P]:
-    """Train a policy on `samples` of `data`, with and without guidance; see `train_policy`."""
-    if validation.config.dim != model.config.dim:
+    """Train a policy of any kind on `samples` of `data`; see `train_policy`."""
+    config = config or PolicyTrainingConfig()
+    dim = data.paths.shape[-1]
+    if validation.config.dim != dim:
         raise InvalidInputError(
-            f"the validation data are {validation.config.dim}-D, the data {model.config.dim}-D"
+            f"the validation data are {validation.config.dim}-D, the data {dim}-D"
         )
-    batches = PolicyBatches(*samples, config, run.team)
+    model = new_model(network, shape(**settings, dim=dim, limit=data.limit), config.seed)
     model.to(run.team.device)
+    batches = PolicyBatches(*samples(data, model.config.chunk), config, run.team)
     model.scale.copy_(batches.scale())
     shown = {**asdict(data.config), "number": len(data)}
     source = Source(data.dataset.to_dict(), data.digest, shown)

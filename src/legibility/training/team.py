@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -100,22 +99,6 @@ class Team:
         return torch.autocast(self.device.type, dtype=_DTYPES[self.precision])
 
     @contextmanager
-    def products(self) -> Iterator[None]:
-        """A context in which oneDNN computes float32 products on a CPU.
-
-        PyTorch's default is MKL, which is slower on some processors. The setting that selects
-        oneDNN also permits bfloat16; on a processor that would use it, MKL is kept. The choice does
-        not depend on timings, so that a resumed run rounds as before.
-        """
-        before = torch.get_float32_matmul_precision()
-        if self.device.type == "cpu" and _exact("medium"):
-            torch.set_float32_matmul_precision("medium")
-        try:
-            yield
-        finally:
-            torch.set_float32_matmul_precision(before)
-
-    @contextmanager
     def main_first(self) -> Iterator[None]:
         """A context that the other processes enter after the main process has left it."""
         with self.accelerator.main_process_first() if self.accelerator else nullcontext():
@@ -140,18 +123,6 @@ class Team:
     def scaler(self) -> torch.amp.GradScaler:
         """A scaler that keeps small gradients from vanishing in fp16 and does nothing otherwise."""
         return torch.amp.GradScaler(self.device.type, enabled=self.precision == "fp16")
-
-
-@cache
-def _exact(precision: str) -> bool:
-    """Whether this CPU computes float32 products in float32 under a matmul precision."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision(precision)
-    try:
-        fine = torch.full((256, 256), 1 + 2.0**-20)
-        return torch.equal(fine @ torch.eye(256), fine)
-    finally:
-        torch.set_float32_matmul_precision(before)
 
 
 def choose_device(name: str | None) -> torch.device:
