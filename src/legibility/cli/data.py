@@ -59,7 +59,7 @@ def data(
     check_file(json, "JSON file")
     if info is not None:
         if dataset != _Flags() or observer != _Observer() or controller != _Demonstrations():
-            raise InvalidInputError("--info describes a dataset as it is; leave its settings out")
+            raise InvalidInputError("--info describes a dataset as it is; leave the rest out")
         figure = figure or info / "info.png"
         check_figure(figure)
     elif figure is not None:
