@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
+from segments import distance_to_segment
 
 from legibility import curves
 
@@ -142,10 +143,11 @@ def test_path_curve_passes_its_waypoints(seed, dim):
     np.testing.assert_allclose(curve[:, ::10], path, atol=1e-12)
 
 
-def test_distance_to_segment():
-    points = np.array([[0.5, 2.0], [-3.0, 4.0], [4.0, 4.0], [0.2, 0.0]])
-    distance = curves.distance_to_segment(points, np.zeros(2), np.array([1.0, 0.0]))
-    np.testing.assert_allclose(distance, [2, 5, 5, 0], atol=1e-15)
+def test_farthest_point_is_measured_from_the_segment_and_not_its_line():
+    points = np.array([[0.5, 2.0], [-3.0, 4.0], [4.0, 3.9], [0.2, 0.0]])
+    for order, index in (([0, 1, 2, 3], 1), ([0, 2, 3], 2), ([0, 3], 0)):
+        farthest = curves.farthest_from_segment(points[order], np.zeros(2), np.array([1.0, 0.0]))
+        assert farthest.tolist() == points[index].tolist()
 
 
 @given(seeds, dims)
@@ -153,10 +155,8 @@ def test_farthest_point_is_farther_than_all_others(seed, dim):
     points = np.random.default_rng(seed).normal(size=(3, 12, dim))
     start, end = points[0, 0], points[0, -1]
     farthest = curves.farthest_from_segment(points, start, end)
-    distance = curves.distance_to_segment(points, start, end)
-    np.testing.assert_array_equal(
-        curves.distance_to_segment(farthest, start, end), distance.max(-1)
-    )
+    distance = distance_to_segment(points, start, end)
+    np.testing.assert_allclose(distance_to_segment(farthest, start, end), distance.max(-1))
 
 
 def test_a_line_does_not_turn_and_a_circle_turns_all_the_way():

@@ -9,7 +9,7 @@ from legibility.data.dataset import generate
 from legibility.data.demonstrations import demonstrate
 from legibility.drivers import Feedback
 from legibility.envs.block_reach_2d import BlockReach2DVector
-from legibility.intent.belief import COSTS
+from legibility.intent.metrics import COSTS
 from legibility.intent.observer import Observer
 from legibility.modulator import Modulator
 

@@ -14,7 +14,7 @@ from .errors import InvalidInputError
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9
-"""Legibility may exceed ±1 by this much, as the last of `np.arange(-1, 1.05, 0.05)` does."""
+"""Largest excess of ℓ beyond ±1, such as that of the last of `np.arange(-1, 1.05, 0.05)`."""
 
 
 def finite_array(
@@ -28,12 +28,13 @@ def finite_array(
 ) -> Array:
     """`value` as a float64 array of finite numbers, of `ndim` axes, the last of size `last`.
 
-    Tensors of PyTorch are read without their gradient, wherever they are. NumPy would convert text,
-    complex numbers and truth values; they are refused.
+    PyTorch tensors of any device are read without their gradient. Text, complex numbers and truth
+    values, which NumPy would convert, are refused.
     """
     try:
-        array = np.asarray(_detached(value))
-        if array.dtype.kind not in "iufO" or _has_truth_value(value):
+        plain = type(value) is np.ndarray  # whose dtype says it all
+        array = np.asarray(value if plain else _detached(value))
+        if array.dtype.kind not in "iufO" or (not plain and _has_truth_value(value)):
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError) as cause:
@@ -41,14 +42,12 @@ def finite_array(
     if (ndim is not None and array.ndim != ndim) or array.ndim < min_ndim:
         wanted = f"{ndim}" if ndim is not None else f"at least {min_ndim}"
         raise error(f"{name} must have {wanted} axes, got shape {array.shape}")
-    if last is not None:
-        sizes = (last,) if isinstance(last, int) else last
-        if array.shape[-1] not in sizes:
-            wanted = " or ".join(map(str, sizes))
-            raise error(f"{name} must have {wanted} numbers a point, got shape {array.shape}")
-    if not np.isfinite(array).all():
-        bad = array[~np.isfinite(array)].flat[0]
-        raise error(f"{name} must be finite, got {bad}")
+    sizes = (last,) if isinstance(last, int) else last
+    if sizes and array.shape[-1] not in sizes:
+        wanted = " or ".join(map(str, sizes))
+        raise error(f"{name} must have {wanted} numbers a point, got shape {array.shape}")
+    if not (finite := np.isfinite(array)).all():
+        raise error(f"{name} must be finite, got {array[~finite].flat[0]}")
     return array
 
 
@@ -109,15 +108,14 @@ def legibility_levels(value: ArrayLike) -> Array:
         raise InvalidInputError(
             f"legibility must be a number or a list of numbers, got shape {levels.shape}"
         )
-    outside = np.abs(levels) > 1 + _ROUNDING
-    if outside.any():
-        bad = np.atleast_1d(levels)[np.atleast_1d(outside)][0]
+    if np.abs(levels).max() > 1 + _ROUNDING:
+        bad = levels.flat[np.abs(levels).argmax()]
         raise InvalidInputError(f"legibility must lie in [-1, 1], got {bad:.8g}")
     return np.asarray(np.clip(levels, -1, 1))
 
 
 def levels_for_each(value: ArrayLike, size: int) -> Array:
-    """ℓ `(size,)`, given one for all or one for each."""
+    """ℓ `(size,)`, from one number or `size` of them."""
     levels = legibility_levels(value)
     if levels.ndim and len(levels) != size:
         raise InvalidInputError(f"legibility must be one number or {size}, got {len(levels)}")
@@ -125,7 +123,7 @@ def levels_for_each(value: ArrayLike, size: int) -> Array:
 
 
 def for_each(name: str, value: Any, size: int) -> list[Any]:
-    """`size` values, given one for all or one for each."""
+    """`size` values, from one for all or a list of them."""
     if np.ndim(_detached(value)) == 0:
         return [value] * size
     if len(value) != size:
@@ -172,21 +170,21 @@ def seed_or_entropy(name: str, value: Any) -> int:
 
 
 def _detached(value: Any) -> Any:
-    """A tensor of PyTorch without its gradient and on the CPU; lists of tensors likewise."""
+    """A PyTorch tensor without its gradient and on the CPU; lists of tensors likewise."""
     if isinstance(value, list | tuple):
         return [_detached(item) for item in value]
     return value.detach().cpu() if hasattr(value, "detach") else value
 
 
 def _has_truth_value(value: Any) -> bool:
-    """Whether a list holds True or False, which NumPy would read as 1 or 0 among numbers."""
+    """Whether `value` is or holds True or False, which NumPy would read as 1 or 0."""
     if isinstance(value, list | tuple):
         return any(map(_has_truth_value, value))
     return isinstance(value, bool) or "bool" in str(getattr(value, "dtype", ""))
 
 
 def _integer(value: Any) -> int | None:
-    """The integer that `value` is, a number or an array or tensor without axes; else None."""
+    """The integer of a number or a zero-dimensional array or tensor; None if it is not one."""
     if _has_truth_value(value) or getattr(value, "ndim", 0):
         return None
     try:

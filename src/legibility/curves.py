@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 
 from .checks import Array
-
-__all__ = [
-    "arc_length",
-    "farthest_from_segment",
-    "path_curve",
-    "resample",
-    "spaced",
-    "spline_matrix",
-    "turning",
-]
-
 
 NUM_WAYPOINTS = 8
 """K, the waypoints of a path between start and goal (paper, section V.C)."""
@@ -38,10 +28,10 @@ def arc_length(trajectory: Array) -> Array:
 
 @np.errstate(under="ignore")
 def turning(trajectory: Array) -> Array:
-    """Angle [rad] that the steps of each trajectory turn through in all, `(...)`.
+    """Total angle [rad] that the steps of each trajectory turn through, `(...)`.
 
-    0 is straight, 2π a full circle. Turns on the spot do not count: `resample` a trajectory that
-    rests.
+    0 is straight, 2π a full circle. Turns between which the trajectory rests do not count, so
+    `resample` it first.
     """
     steps = np.diff(trajectory, axis=-2)
     length = np.linalg.norm(steps, axis=-1, keepdims=True)
@@ -55,9 +45,8 @@ def turning(trajectory: Array) -> Array:
 def equal_arc_positions(cumulative: Array, num_points: int) -> Array:
     """Fractional indices `(..., num_points)` in [0, T − 1] at equal steps of arc length.
 
-    Args:
-        cumulative: `(..., T)`, non-decreasing from 0. A curve without length is read at equal
-            steps of its index.
+    `cumulative (..., T)` is `cumulative_length`; a curve without length is read at equal steps of
+    its index.
     """
     *batch, size = cumulative.shape
     if not cumulative.size:
@@ -84,10 +73,12 @@ def resample(trajectory: Array, num_points: int) -> Array:
     Linear between the given points; the two ends stay where they are.
     """
     positions = equal_arc_positions(cumulative_length(trajectory), num_points)
-    left = np.minimum(positions.astype(np.intp), trajectory.shape[-2] - 2)
+    *batch, size, dim = trajectory.shape
+    left = np.minimum(positions.astype(np.intp), size - 2)
     weight = (positions - left)[..., None]
-    low = np.take_along_axis(trajectory, left[..., None], axis=-2)
-    high = np.take_along_axis(trajectory, left[..., None] + 1, axis=-2)
+    flat = trajectory.reshape(-1, dim)
+    rows = left + size * np.arange(math.prod(batch)).reshape(*batch, 1)
+    low, high = flat[rows], flat[rows + 1]
     points = low + weight * (high - low)
     points[..., [0, -1], :] = trajectory[..., [0, -1], :]  # free of rounding
     return points
@@ -108,10 +99,10 @@ def spaced(trajectory: Array, spacing: float) -> Array:
 
 @functools.lru_cache(maxsize=32)
 def spline_matrix(num_knots: int, num_points: int) -> Array:
-    """`(num_points, num_knots)`: the not-a-knot cubic spline through equally spaced knots, ≥ 4.
+    """`(num_points, num_knots)`: the not-a-knot cubic spline through at least 4 equal knots.
 
-    The spline is linear in its knots, so a batch of paths is a matrix product. The same as SciPy's
-    `CubicSpline`, whose import takes longer than loading a model and planning.
+    A product with it is a batch of paths. The same as SciPy's `CubicSpline`, whose import takes
+    longer than loading a model and planning.
     """
     values = np.eye(num_knots)
     slopes = np.diff(values, axis=0)
@@ -119,11 +110,9 @@ def spline_matrix(num_knots: int, num_points: int) -> Array:
     # there, and the third at the first and last inner knot.
     system = 4 * values + np.eye(num_knots, k=1) + np.eye(num_knots, k=-1)
     system[0, :2], system[-1, -2:] = (1, 2), (2, 1)
-    wanted = np.concatenate([
-        (5 * slopes[:1] + slopes[1:2]) / 2,
-        3 * (slopes[:-1] + slopes[1:]),
-        (5 * slopes[-1:] + slopes[-2:-1]) / 2,
-    ])  # fmt: skip
+    wanted = np.empty_like(values)
+    wanted[1:-1] = 3 * (slopes[:-1] + slopes[1:])
+    wanted[0], wanted[-1] = (5 * slopes[0] + slopes[1]) / 2, (5 * slopes[-1] + slopes[-2]) / 2
     derivatives = np.linalg.solve(system, wanted)
     places = np.linspace(0, num_knots - 1, num_points)
     left = np.minimum(places.astype(np.intp), num_knots - 2)
@@ -138,26 +127,17 @@ def spline_matrix(num_knots: int, num_points: int) -> Array:
     return matrix
 
 
-def distance_to_segment(points: Array, start: Array, end: Array) -> Array:
-    """Distance [m] of `points (..., D)` from the segment between `start` and `end`, `(...)`."""
-    return np.sqrt(_squared_distance_to_segment(points, start, end))
-
-
 @np.errstate(under="ignore")
 def farthest_from_segment(trajectory: Array, start: Array, end: Array) -> Array:
     """The most deviating point `(..., D)` of each trajectory from the straight line start–end."""
-    index = np.argmax(_squared_distance_to_segment(trajectory, start, end), axis=-1)
-    return np.take_along_axis(trajectory, index[..., None, None], axis=-2)[..., 0, :]
-
-
-def _squared_distance_to_segment(points: Array, start: Array, end: Array) -> Array:
-    """A coordinate at a time: sums over a short last axis are slow in NumPy."""
     direction = end - start
-    offsets = [points[..., d] - start[d] for d in range(len(start))]
     squared = direction @ direction
-    along = np.asarray(sum(o * (v / squared) for o, v in zip(offsets, direction, strict=True)))
-    np.clip(along, 0, 1, out=along)
-    return np.asarray(sum((o - along * v) ** 2 for o, v in zip(offsets, direction, strict=True)))
+    # One coordinate at a time: sums over a short last axis are slow in NumPy.
+    axes = [(trajectory[..., d] - start[d], direction[d]) for d in range(len(start))]
+    along = np.clip(sum(offset * (v / squared) for offset, v in axes), 0, 1)
+    gaps = np.asarray(sum((offset - along * v) ** 2 for offset, v in axes))
+    index = np.argmax(gaps, axis=-1)[..., None, None]
+    return np.take_along_axis(trajectory, index, axis=-2)[..., 0, :]
 
 
 @np.errstate(under="ignore")

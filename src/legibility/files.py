@@ -25,10 +25,9 @@ _DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; on success it becomes `path`, on failure it is removed.
+    """Yield a temporary path of the same suffix; it becomes `path`, or is removed on failure.
 
-    The temporary name keeps the suffix, so that writers that look at it choose the same format. A
-    link is followed, and a device or pipe (/dev/stdout) is written to, not replaced.
+    A link is followed, and a device or pipe (/dev/stdout) is written to, not replaced.
 
     Raises:
         OutputError: the folder cannot be made or the file cannot be written (read-only, full).
@@ -66,7 +65,7 @@ def write_bytes(path: str | Path, content: bytes) -> None:
 def write_json(path: str | Path, content: Any) -> None:
     """Write `content` as indented JSON (UTF-8, no NaN) to `path` atomically."""
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    # A file name that is no UTF-8 holds surrogates, which only an escape of JSON's can express.
+    # Surrogates of a file name that is not UTF-8 are written as JSON escapes.
     write_bytes(path, text.encode(errors="backslashreplace"))
 
 
@@ -77,7 +76,7 @@ def file_hash(path: str | Path) -> str:
 
 
 def read_text(path: str | Path, what: str, error: type[Exception] = InvalidInputError) -> str:
-    """The text of `path`, or `error` naming `what` was looked for."""
+    """The text of `path`; if unreadable, an `error` that calls the file a `what`."""
     try:
         return at_home(path).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as cause:
@@ -91,14 +90,13 @@ def read_document(path: str | Path, what: str, error: type[Exception] = InvalidI
     It refuses a repeated key, an alias of YAML, and a number that YAML 1.1 does not read as decimal
     notation: 010 (octal), 1:30 (base 60), 5e-1 (text).
     """
-    is_json = Path(path).suffix.lower() == ".json"
+    form = "JSON" if Path(path).suffix.lower() == ".json" else "YAML"
     text = read_text(path, what, error)
     try:
-        if is_json:
+        if form == "JSON":
             return json.loads(text, object_pairs_hook=_mapping_once)
         return _read_yaml(text)
     except (ValueError, RecursionError) as cause:
-        form = "JSON" if is_json else "YAML"
         raise error(f"{path} is not valid {form}: {' '.join(str(cause).split())}") from cause
 
 
@@ -108,11 +106,11 @@ def at_home(path: str | Path) -> Path:
 
 
 def _mapping_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        keys = [key for key, _ in pairs]
-        repeated = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {repeated!r} is repeated")
+    content: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in content:
+            raise ValueError(f"the key {key!r} is repeated")
+        content[key] = value
     return content
 
 
@@ -123,15 +121,16 @@ def _read_yaml(text: str) -> Any:
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
                 event = self.peek_event()
-                raise ValueError(f"{_line(event)}aliases (*{event.anchor}) are not read")
+                raise _yaml_error(event, f"aliases (*{event.anchor}) are not read")
             return super().compose_node(parent, index)
 
         def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-            pairs = [(self.construct_object(key, deep=True), None) for key, _ in node.value]
             try:
-                _mapping_once(pairs)
+                _mapping_once(
+                    [(self.construct_object(key, deep=True), None) for key, _ in node.value]
+                )
             except ValueError as cause:
-                raise ValueError(f"{_line(node)}{cause}") from cause
+                raise _yaml_error(node, cause) from cause
             return super().construct_mapping(node, deep)
 
         def construct_scalar(self, node: Any) -> Any:
@@ -141,32 +140,29 @@ def _read_yaml(text: str) -> Any:
 
     try:
         return yaml.load(text, Loader)
-    except yaml.MarkedYAMLError as cause:
-        raise ValueError(f"{_line(cause)}{cause.problem}") from cause
     except (yaml.YAMLError, AttributeError, LookupError, TypeError) as cause:
-        raise ValueError(str(cause)) from cause
+        raise _yaml_error(cause, getattr(cause, "problem", cause)) from cause
 
 
 def _check_number(node: Any) -> None:
-    """Raise unless an unquoted scalar is a number to YAML 1.1 and in decimal notation, or neither.
+    """Raise unless YAML 1.1 and decimal notation agree whether an unquoted scalar is a number.
 
-    Numbers to YAML alone are of another base (0x1F, 1:30) or hold underscores; 5e-1 and 08 are
-    numbers in decimal notation alone; 010 is either, but octal to YAML.
+    YAML alone reads other bases (0x1F, 1:30) and underscores, decimal notation alone 5e-1 and 08;
+    010 is a number in both, but octal in YAML.
     """
-    is_number = node.tag.removeprefix("tag:yaml.org,2002:") in ("int", "float")
-    octal = node.tag.endswith(":int") and re.match("[-+]?0[0-9]", node.value)
+    is_number = node.tag.endswith((":int", ":float"))
+    is_octal = node.tag.endswith(":int") and re.match("[-+]?0[0-9]", node.value)
     if _DECIMAL.fullmatch(node.value):
-        if octal or not is_number:
+        if is_octal or not is_number:
             number = float(node.value)
             hint = f"{number:.12g}" if 1e-4 <= abs(number) < 1e9 else f"{number:.6e}"
-            raise ValueError(
-                f"{_line(node)}YAML does not read {node.value} as a decimal number: write {hint}"
-            )
+            problem = f"YAML does not read {node.value} as a decimal number: write {hint}"
+            raise _yaml_error(node, problem)
     elif is_number and not re.search("inf|nan", node.value, re.IGNORECASE):
-        raise ValueError(f"{_line(node)}{node.value} is no decimal number")
+        raise _yaml_error(node, f"{node.value} is not a decimal number")
 
 
-def _line(marked: Any) -> str:
-    """Where a node, an event or an error of YAML is, to begin a message with."""
-    mark = getattr(marked, "problem_mark", None) or getattr(marked, "start_mark", None)
-    return f"line {mark.line + 1}: " if mark else ""
+def _yaml_error(place: Any, problem: object) -> ValueError:
+    """An error with the line of a node, event or error of YAML, if it has one."""
+    mark = getattr(place, "problem_mark", None) or getattr(place, "start_mark", None)
+    return ValueError(f"line {mark.line + 1}: {problem}" if mark else str(problem))

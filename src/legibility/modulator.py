@@ -78,10 +78,9 @@ class Modulator:
                     f"the stages must have one dimension, got {path_diffuser.config.dim} and "
                     f"{path_policy.config.dim}"
                 )
-        self.name = name
-        self.training = training or {}
         if backend not in BACKENDS:
             raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
+        self.name, self.training = name, training or {}
         sample, self._policy = path_diffuser.sample, path_policy
         if backend == "onnx":
             from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy, load_graph
@@ -164,18 +163,16 @@ class Modulator:
         target = target_index(target, scene.num_goals)
         levels = legibility_levels(legibility)
         seed = seed_or_entropy("seed", seed)
-        num_candidates = count("num_candidates", num_candidates)
+        number = count("num_candidates", num_candidates)
         sampling = Sampling(guidance, steps).checked(self.config)
-        asked = np.repeat(np.atleast_1d(levels), num_candidates)
-        if num_candidates == 1:
+        asked = np.repeat(np.atleast_1d(levels), number)
+        if number == 1:
             paths = self.sampler.draw_with_retries([scene], [target], asked, seed, sampling)
         else:
             paths = self.sampler.draw([scene], [target], asked, seed, sampling)
             scores = Path.through(paths, scene, target, asked, self.config.observer).score
-            best = self._nearest(
-                scene, target, np.atleast_1d(levels), scores.reshape(-1, num_candidates)
-            )
-            paths = paths[np.arange(len(best)) * num_candidates + best]
+            best = self._nearest(scene, target, asked[::number], scores.reshape(-1, number))
+            paths = paths[np.arange(len(best)) * number + best]
         waypoints = paths if levels.ndim else paths[0]
         return Path.through(waypoints, scene, target, levels, self.config.observer)
 
@@ -197,10 +194,7 @@ class Modulator:
             scenes: `B` of the model's dimension.
             targets: index of the intended goal, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
-            seed: of the paths drawn; None draws other paths each time.
-            num_candidates: see `plan`.
-            guidance: see `plan`.
-            steps: see `plan`.
+            seed, num_candidates, guidance, steps: see `plan`.
 
         Raises:
             InvalidInputError: an argument is out of its range.
@@ -220,15 +214,13 @@ class Modulator:
         sampling = Sampling(guidance, steps).checked(self.config)
         if count("num_candidates", num_candidates) > 1:
             seeds = np.random.SeedSequence(seed).generate_state(len(scenes)).tolist()
+            options = {"num_candidates": num_candidates, **sampling._asdict()}
             return [
-                self.plan(
-                    scene, target, level, seed=own_seed, num_candidates=num_candidates,
-                    guidance=guidance, steps=steps,
-                )
-                for scene, target, level, own_seed in zip(
+                self.plan(scene, target, level, seed=scene_seed, **options)
+                for scene, target, level, scene_seed in zip(
                     scenes, indices, levels, seeds, strict=True
                 )
-            ]  # fmt: skip
+            ]
         paths = self.sampler.draw_with_retries(scenes, indices, levels, seed, sampling)
         return [
             Path.through(waypoints, scene, target, level, self.config.observer)
@@ -265,9 +257,7 @@ class Modulator:
                 without it the robot goes back to the path. Nearer to the goal than any start in
                 training, the rest is straight.
             tolerance: [m]; the largest action's length if not given.
-            num_candidates: see `plan`.
-            guidance: see `plan`.
-            steps: see `plan`.
+            num_candidates, guidance, steps: see `plan`.
             driver: moves the robot instead of stage 2.
 
         Raises:
@@ -306,14 +296,8 @@ class Modulator:
             targets: index of the intended goal, one for all or `(B,)`; the environments' own if not
                 given.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
-            seed: see `execute`.
             paths: `B` paths to follow instead of planning; they must start at the robots.
-            replan: see `execute`.
-            tolerance: see `execute`.
-            num_candidates: see `plan`.
-            guidance: see `plan`.
-            steps: see `plan`.
-            driver: moves the robots instead of stage 2.
+            seed, replan, tolerance, num_candidates, guidance, steps, driver: see `execute`.
 
         Raises:
             InvalidInputError: an argument is out of its range or does not fit the environment.
@@ -326,14 +310,14 @@ class Modulator:
             driver = Policy(self._policy, seed)
         fleet = Fleet(env, seed)
         self._check_fleet(fleet)
-        off = fleet.limit if tolerance is None else positive("tolerance", tolerance)
+        tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for_each(legibility, fleet.size)
-        if paths is not None and (
-            len(paths) != fleet.size or not all(isinstance(path, Path) for path in paths)
-        ):
-            raise InvalidInputError(
-                f"paths must be a legibility.Path for each of {fleet.size} robots, got {paths}"
-            )
+        if paths is not None:
+            types = [type(path) for path in paths] if isinstance(paths, Sequence) else type(paths)
+            if types != [Path] * fleet.size:
+                raise InvalidInputError(
+                    f"paths must be a legibility.Path for each of {fleet.size} robots, got {types}"
+                )
         if targets is not None:
             fleet.set_targets(for_each("targets", targets, fleet.size))
 
@@ -349,9 +333,7 @@ class Modulator:
             return [_straight_if_near(path) for path in plan(rows, positions)]
 
         chosen = plan(list(range(fleet.size)), fleet.positions) if paths is None else list(paths)
-        return follow(
-            fleet, chosen, driver, replan=plan_rest if replan else None, tolerance=off
-        )  # fmt: skip
+        return follow(fleet, chosen, driver, plan_rest if replan else None, tolerance)
 
     def _nearest(self, scene: Scene, target: int, levels: Array, scores: Array) -> NDArray[np.intp]:
         """Index `(B,)` of the candidate nearest to each of `levels (B,)`.

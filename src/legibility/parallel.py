@@ -1,7 +1,7 @@
 """One function on many items: in processes on this machine, or on a Dask cluster.
 
-Results come as they are ready, each item's once, whatever becomes of single workers. What a worker
-needs is sent to it and what it found is sent back, so nothing is assumed of a shared file system.
+Results come as they are ready, each once, even if workers die. Function, items and results travel
+by pickle, so no shared file system is needed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import logging
 import multiprocessing
 import os
 import pickle
-import secrets
 import signal
 import socket
 import threading
@@ -24,46 +23,45 @@ from functools import partial
 from multiprocessing import resource_tracker
 from typing import Any
 
-import numpy as np
-
 from .checks import count
 from .errors import InvalidInputError, MissingExtraError, WorkerError
 
-__all__ = ["Each", "pool", "threads"]
-
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
-"""Of a function and items, pairs of an item's index and its result, in the order of completion."""
+"""From a function and items to pairs of an item's index and its result, in order of completion."""
 
 _DEATHS = 3
-"""So often an item is started anew after the death of a worker before its run is given up."""
+"""How often joblib's workers may die in a row before the run ends; Dask's default is the same."""
 
 _PATIENCE = 5.0
-"""How long a scheduler may take to answer [s]."""
+"""Time for a scheduler to answer [s]."""
+
+_LOST = 30.0
+"""Time for a finished result to arrive [s]."""
 
 _UNGUARDED = (
     "a script must start workers below `if __name__ == '__main__':`, since each of them imports it"
 )
 
-_LOST = 30.0
-"""How long a result that is ready may take to come [s]."""
+_LOCK = threading.Lock()
+"""Held while an item is worked on: models and simulators are not thread-safe."""
 
 
 @contextlib.contextmanager
 def pool(workers: int = 1, cluster: str | None = None) -> Iterator[Each]:
-    """Yield `each(function, items)`, which has the items worked on.
+    """Yield `each(function, items)`, see `Each`.
 
-    Function and items are pickled; one worker is this very process, in which nothing is. An
-    exception of the function is raised as itself and ends the rest.
+    With one worker and no cluster, the function runs in this process, without pickling. An
+    exception of the function is raised unchanged and ends the run.
 
     Args:
         workers: processes on this machine.
-        cluster: address of a Dask scheduler, whose workers work instead; `local` starts a cluster
-            of `workers` processes on this machine.
+        cluster: address of a Dask scheduler whose workers to use; `local` starts a cluster of
+            `workers` processes on this machine.
 
     Raises:
         InvalidInputError: an argument is out of its range.
-        MissingExtraError: there is no Dask.
-        WorkerError: no scheduler answers, or, of `each`, workers die again and again.
+        MissingExtraError: Dask is not installed.
+        WorkerError: no scheduler answers, or, from `each`, workers die repeatedly.
     """
     count("workers", workers)
     if getattr(multiprocessing.current_process(), "_inheriting", False):
@@ -83,7 +81,7 @@ def pool(workers: int = 1, cluster: str | None = None) -> Iterator[Each]:
 
 @contextlib.contextmanager
 def threads(number: int) -> Iterator[None]:
-    """Compute on `number` threads of PyTorch within; as a decorator, within the function.
+    """Limit PyTorch to `number` threads in a `with` block or a decorated function.
 
     The number of threads changes times and the last digits of results. Both backends obey it.
     """
@@ -105,24 +103,54 @@ def _in_processes(
         return
     from joblib import Parallel, delayed
 
-    # joblib renews a process that has grown, as it does when it loads a model, and warns of it.
+    # joblib replaces a process that has grown, as it does when it loads a model, and warns of it.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
-    sent, left, deaths = _Sent(function), dict(enumerate(items)), 0
+    content, left, deaths = pickle.dumps(function), dict(enumerate(items)), 0
     while left:
         run = Parallel(n_jobs=workers, return_as="generator_unordered")
-        results: Any = run([delayed(_numbered)(sent, *entry) for entry in left.items()])
+        results: Any = run([delayed(_in_process)(content, *entry) for entry in left.items()])
         try:
             for index, result in results:
                 del left[index]
                 deaths = 0
                 yield index, result
-        except BrokenProcessPool as cause:  # it takes the other workers' items with it
+        except BrokenProcessPool as cause:  # one death ends the other workers' items too
             deaths += 1
             if deaths > _DEATHS:
-                raise WorkerError(_died(cause)) from cause
+                raise _died(cause) from cause
         finally:
-            with warnings.catch_warnings(action="ignore"):  # joblib warns if it is not at its end
+            with warnings.catch_warnings(action="ignore"):  # joblib warns of unread results
                 results.close()
+
+
+def _in_process(content: bytes, index: int, item: Any) -> tuple[int, Any]:
+    _follow_the_main_process()
+    return index, _work(content, item)
+
+
+@functools.cache
+def _follow_the_main_process() -> None:
+    """In a process of joblib: ignore interrupts, and exit when the main process is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _work(content: bytes, item: Any) -> Any:
+    with _LOCK:
+        return _unpickled(content)(item)
+
+
+@functools.lru_cache(maxsize=1)
+def _unpickled(content: bytes) -> Callable[[Any], Any]:
+    """The function, unpickled once in each process."""
+    return pickle.loads(content)
 
 
 @contextlib.contextmanager
@@ -139,7 +167,7 @@ def _dask_client(workers: int, cluster: str) -> Iterator[Any]:
         try:
             if cluster == "local":
                 with _interrupts_held_back():
-                    # It complains of each client that goes.
+                    # silence_logs: it warns of every client that leaves
                     address = LocalCluster(n_workers=workers, threads_per_worker=1,
                                            dashboard_address=None,  # pyright: ignore
                                            silence_logs=logging.CRITICAL + 1)  # fmt: skip
@@ -159,11 +187,11 @@ def _dask_client(workers: int, cluster: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """What is started within, threads and processes, never sees an interrupt from the keyboard."""
+    """Threads and processes started in the block ignore interrupts from the keyboard."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # else the first process would start it, which lets them in
+    resource_tracker.ensure_running()  # started by the first process, it would unblock them
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -174,29 +202,17 @@ def _interrupts_held_back() -> Iterator[None]:
 def _on_dask(
     client: Any, function: Callable[[Any], Any], items: Sequence[Any]
 ) -> Iterator[tuple[int, Any]]:
-    from distributed import CancelledError, KilledWorker, TimeoutError, WorkerPlugin, as_completed
+    from distributed import CancelledError, KilledWorker, TimeoutError, as_completed
 
-    class Holder(WorkerPlugin):
-        """Hands the function to every worker, those too that come later or anew."""
-
-        def __init__(self, sent: _Sent) -> None:
-            self.sent = sent
-
-        def setup(self, worker: Any) -> None:
-            self.sent.held()
-
-        def teardown(self, worker: Any) -> None:
-            self.sent.drop()
-
-    sent = _Sent(function)
+    # A task, not scattered data: Dask makes it again if all workers that hold it leave.
+    content = client.submit(bytes, pickle.dumps(function), pure=False)
     numbers: dict[str, int] = {}
 
     def started(index: int) -> Any:
-        future = client.submit(_held, sent.key, items[index], pure=False)
+        future = client.submit(_work, content, items[index], pure=False)
         numbers[future.key] = index
         return future
 
-    client.register_plugin(Holder(sent), name=sent.key)
     try:
         done = as_completed([started(i) for i in range(len(items))], loop=client.loop)
         for future in done:
@@ -204,77 +220,18 @@ def _on_dask(
             try:
                 result = future.result(timeout=_LOST)
             except TimeoutError:
-                if future.status == "error":  # the function's own
+                if future.status == "error":  # raised by the function
                     raise
-                done.add(started(index))  # the result died with its worker before it was sent
+                done.add(started(index))  # the result was lost with its worker
             else:
                 yield index, result
     except KilledWorker as cause:
-        raise WorkerError(_died(cause)) from cause
+        raise _died(cause) from cause
     except CancelledError as cause:
-        raise WorkerError("the Dask scheduler does not answer any more") from cause
-    finally:
-        with contextlib.suppress(Exception):  # there may be nobody any more
-            client.unregister_worker_plugin(sent.key)
+        raise WorkerError("the Dask scheduler no longer answers") from cause
 
 
-def _died(cause: BaseException) -> str:
-    return f"workers died again and again at the same work; is there enough memory? {cause}"
-
-
-class _Sent:
-    """A function on its way to workers: pickled once, unpickled once in each process."""
-
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.key = secrets.token_hex(16)
-        # joblib shares a large array.
-        self.content = np.frombuffer(pickle.dumps(function), np.uint8)
-
-    def __call__(self, item: Any) -> Any:
-        _follow_the_main_process()
-        if self.key not in _HELD:
-            _HELD.clear()
-        return self.held()(item)
-
-    def held(self) -> Callable[[Any], Any]:
-        """The function, which this process keeps."""
-        if self.key not in _HELD:
-            _HELD[self.key] = pickle.loads(self.content.data)
-        return _HELD[self.key]
-
-    def drop(self) -> None:
-        """Keep it no longer."""
-        _HELD.pop(self.key, None)
-
-
-_HELD: dict[str, Callable[[Any], Any]] = {}
-"""Of a worker, the functions that it was sent, by their keys."""
-
-_LOCK = threading.Lock()
-"""A worker of several threads has one model, and simulators that are not made for threads."""
-
-
-@functools.cache
-def _follow_the_main_process() -> None:
-    """In a process of joblib, leave interrupts to the main one, and end with it.
-
-    Where that one is killed, joblib's would wait for ever.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def _held(key: str, item: Any) -> Any:
-    with _LOCK:
-        return _HELD[key](item)
-
-
-def _numbered(function: Callable[[Any], Any], index: int, item: Any) -> tuple[int, Any]:
-    return index, function(item)
+def _died(cause: BaseException) -> WorkerError:
+    return WorkerError(
+        f"workers died again and again at the same work; is there enough memory? {cause}"
+    )

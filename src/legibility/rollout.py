@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .checks import Array
 from .curves import NUM_WAYPOINTS, resample
@@ -16,8 +15,7 @@ from .drivers import Driver, RobotStates
 from .envs.fleet import Fleet
 from .envs.guard import safe_actions
 from .errors import InvalidInputError
-from .intent.belief import time_to_confidence
-from .intent.metrics import SCORE_POINTS
+from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .motion.path import Path
 from .motion.tracking import PathTracker
 
@@ -120,7 +118,6 @@ def follow(
     fleet: Fleet,
     paths: list[Path],
     driver: Driver,
-    *,
     replan: Replan | None = None,
     tolerance: float = np.inf,
 ) -> list[Rollout]:
@@ -155,26 +152,22 @@ class _Run:
     """The state of `B` robots while they follow their paths, and the record of their motions."""
 
     def __init__(self, fleet: Fleet, paths: list[Path], driver: Driver) -> None:
-        size, limit = fleet.size, fleet.limit
+        size = fleet.size
         self.fleet, self.driver = fleet, driver
         waypoints = np.stack([path.waypoints for path in paths])
-        self.tracker = PathTracker(waypoints, limit, fleet.workspace)
+        self.tracker = PathTracker(waypoints, fleet.limit, fleet.workspace)
         self.goals = waypoints[:, -1]
         self.positions = self.previous = fleet.positions
         self.chunks: list[Array] = [np.empty((0, self.goals.shape[1]))] * size
         self.active = np.ones(size, dtype=bool)
         self.success, self.ended = np.zeros((2, size), dtype=bool)
         self.reasons = np.full(size, "", dtype=object)
-        self.timer = _StallTimer(
-            size, patience=round(_PATIENCE / fleet.step_seconds), progress=_PROGRESS * limit
-        )
-        self.restarts = np.zeros(size, dtype=int)
+        self.least = np.full(size, np.inf)  # left to go [m] when it last fell by _PROGRESS
+        self.steps, self.idle, self.restarts, self.wall_contacts = np.zeros((4, size), dtype=int)
         self.replans: list[list[int]] = [[] for _ in range(size)]
-        self.steps, self.wall_contacts = np.zeros((2, size), dtype=int)
         self.counts = {name: np.zeros(size, dtype=int) for name in fleet.counts}
         self.states, self.joint_angles = [self.positions], [fleet.joint_angles]
-        self.actions: list[Array] = []
-        self.deviations: list[Array] = []
+        self.actions, self.deviations = list[Array](), list[Array]()
 
     def next_actions(self) -> Array:
         """The next displacement of each robot, made safe, `(B, D)` [m]; 0 for those that ended."""
@@ -214,20 +207,19 @@ class _Run:
 
     def stop_ended(self, *, may_replan: bool) -> None:
         """Note why robots end that do; progress is along the path, or to the goal without one."""
-        deviation = self.deviations[-1]
+        fleet, deviation = self.fleet, self.deviations[-1]
         if self.driver.with_path:
             remaining = self.tracker.remaining + deviation
-            lost = deviation > (np.inf if may_replan else _LOST * self.fleet.limit)
+            lost = deviation > (np.inf if may_replan else _LOST * fleet.limit)
         else:
             remaining = np.linalg.norm(self.positions - self.goals, axis=-1)
             lost = np.zeros_like(self.active)
-        stalled = self.timer.update(remaining)
-        for reason, happened in (
-            ("reached", self.success),
-            ("time", self.ended),
-            ("lost", lost),
-            ("stalled", stalled),
-        ):
+        closer = remaining < self.least - _PROGRESS * fleet.limit
+        self.least = np.where(closer, remaining, self.least)
+        self.idle = np.where(closer, 0, self.idle + 1)
+        stalled = self.idle >= round(_PATIENCE / fleet.step_seconds)
+        reasons = {"reached": self.success, "time": self.ended, "lost": lost, "stalled": stalled}
+        for reason, happened in reasons.items():
             self.reasons[self.active & happened & (self.reasons == "")] = reason
         self.active &= self.reasons == ""
 
@@ -243,7 +235,7 @@ class _Run:
         self.goals[rows] = goals[rows]
         # A robot that leaves every new path as well restarts its stall timer only a few times.
         fresh = rows[moved[rows] | (self.restarts[rows] < _RESTARTS)]
-        self.timer.restart(fresh)
+        self.least[fresh], self.idle[fresh] = np.inf, 0
         self.restarts[fresh] += 1
         for row in rows:
             self.chunks[row] = self.chunks[row][:0]
@@ -269,26 +261,6 @@ class _Run:
             )
             for i, (path, steps) in enumerate(zip(paths, self.steps.tolist(), strict=True))
         ]
-
-
-class _StallTimer:
-    """Steps since each robot last came closer to its goal by `progress` [m]."""
-
-    def __init__(self, size: int, patience: int, progress: float) -> None:
-        self.patience, self.progress = patience, progress
-        self.least = np.full(size, np.inf)
-        self.idle = np.zeros(size, dtype=int)
-
-    def update(self, remaining: Array) -> NDArray[np.bool_]:
-        """Whether each robot has stalled, `(B,)`, now that `remaining (B,)` [m] are left."""
-        closer = remaining < self.least - self.progress
-        self.least = np.where(closer, remaining, self.least)
-        self.idle = np.where(closer, 0, self.idle + 1)
-        return self.idle >= self.patience
-
-    def restart(self, rows: NDArray[np.intp]) -> None:
-        """Measure the progress of `rows` from now on."""
-        self.least[rows], self.idle[rows] = np.inf, 0
 
 
 def _check_paths(paths: list[Path], fleet: Fleet) -> None:

@@ -1,4 +1,4 @@
-"""A scene: where the robot starts, the goals it may mean, and the workspace it must stay in."""
+"""A scene: start, possible goals and workspace."""
 
 from __future__ import annotations
 
@@ -13,11 +13,7 @@ from .checks import Array, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
 from .files import read_document, write_bytes, write_json
 
-__all__ = [
-    "DEFAULT_WORKSPACE",
-    "MIN_SEPARATION",
-    "Scene",
-]
+__all__ = ["DEFAULT_WORKSPACE", "MIN_SEPARATION", "Scene"]
 
 DEFAULT_WORKSPACE = {
     2: ((-0.1, -0.1), (1.1, 1.1)),
@@ -26,24 +22,25 @@ DEFAULT_WORKSPACE = {
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
 
 MIN_SEPARATION = 0.12
-"""Least distance of two goals of a random scene, as a share of the workspace's diagonal; the start
-keeps twice that from the target."""
+"""Least distance between two points of a random scene, as a share of the workspace's diagonal; the
+start keeps twice that from the target."""
 
 START_OVERSHOOT = 0.03
-"""How far beyond a wall a robot may be found, as a share of the workspace's diagonal: 51 mm of the
-default one in 2-D, 24 mm at the Panda's table, where the simulated arms overshoot by up to 22."""
+"""Largest excess of a start beyond a wall, as a share of the workspace's diagonal: 51 mm in 2-D,
+24 mm at the Panda's table, where the simulated arms overshoot by up to 22 mm."""
 
 _AT_START, _BESIDE = 1e-4, 1e-5
 _BLOCK_HEIGHT = 0.04
 _ROUNDING = 1e-6
+_KEYS = ("start", "goals", "workspace")
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class Scene:
     """Start, goals and workspace, all in metres in the environment's world frame.
 
-    A start a little beyond a wall (`START_OVERSHOOT`), as robots report it, and a goal beyond it by
-    rounding (1e-6 of the workspace's diagonal) are moved onto the wall.
+    A start a little beyond a wall (`START_OVERSHOOT`, as robots report) and a goal beyond it by
+    rounding (1e-6 of the diagonal) are moved onto the wall. Scenes are immutable and hashable.
 
     Args:
         start: `(D,)` [m], D is 2 or 3.
@@ -51,7 +48,7 @@ class Scene:
         workspace: `(2, D)` [m], low and high corner; the default is `DEFAULT_WORKSPACE[D]`.
 
     Raises:
-        InvalidSceneError: anything else, naming the value and what is allowed.
+        InvalidSceneError: any other value.
     """
 
     start: Array
@@ -74,24 +71,20 @@ class Scene:
             array = array + 0.0  # a copy, with −0 turned into 0 so that equal scenes hash alike
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-        self._check()
-
-    def _check(self) -> None:
-        low, high = self.workspace
-        if len(self.goals) < 2:
-            raise InvalidSceneError(f"goals must be at least 2, got {len(self.goals)}")
+        if self.num_goals < 2:
+            raise error(f"goals must be at least 2, got {self.num_goals}")
         points = np.concatenate([self.start[None], self.goals])
-        names = ["start", *(f"goals[{i}]" for i in range(len(self.goals)))]
+        names = ["start", *(f"goals[{i}]" for i in range(self.num_goals))]
         for name, point in zip(names, points, strict=True):
-            if (point < low).any() or (point > high).any():
-                raise InvalidSceneError(
-                    f"{name} {point.tolist()} lies outside the workspace {self.workspace.tolist()}"
+            if not self.contains(point, 0):
+                raise error(
+                    f"{name} {point.tolist()} lies outside the workspace {corners.tolist()}"
                 )
         gaps = np.linalg.norm(points[:, None] - points[None], axis=-1)
         gaps[np.tril_indices(len(points))] = np.inf
         i, j = np.unravel_index(np.argmin(gaps), gaps.shape)
         if gaps[i, j] < _ROUNDING * self.diagonal:
-            raise InvalidSceneError(f"{names[i]} and {names[j]} coincide at {points[i].tolist()}")
+            raise error(f"{names[i]} and {names[j]} coincide at {points[i].tolist()}")
 
     @property
     def dim(self) -> int:
@@ -109,7 +102,7 @@ class Scene:
         return float(np.linalg.norm(self.workspace[1] - self.workspace[0]))
 
     def target(self, index: int) -> Array:
-        """Position `(D,)` [m] of the goal that is meant; raises if there is no such goal."""
+        """Position `(D,)` [m] of goal `index`."""
         return self.goals[target_index(index, self.num_goals)]
 
     def distractors(self, target: int) -> Array:
@@ -125,8 +118,8 @@ class Scene:
     def starting_at(self, position: Array) -> Scene:
         """The scene for a robot that now stands at `position (D,)` [m].
 
-        An arm reaches a scene's start only as exactly as its joints allow, and may be a little
-        beyond a wall. A robot that was pushed onto a goal is taken to stand just beside it.
+        The same scene if it stands at the start, to an arm's accuracy. A position beyond a wall is
+        moved onto it, one on a goal to just beside it.
         """
         if np.linalg.norm(position - self.start) < _AT_START:
             return self
@@ -139,8 +132,7 @@ class Scene:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in ("start", "goals", "workspace")
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in _KEYS
         )
 
     def __hash__(self) -> int:
@@ -151,29 +143,26 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as plain lists, the form of its YAML and JSON files."""
-        return {
-            "start": self.start.tolist(),
-            "goals": self.goals.tolist(),
-            "workspace": self.workspace.tolist(),
-        }
+        return {name: getattr(self, name).tolist() for name in _KEYS}
 
     @classmethod
     def from_dict(cls, content: Any) -> Scene:
         """The inverse of `to_dict`; `workspace` may be left out."""
         if not isinstance(content, dict):
             raise InvalidSceneError(
-                "a scene must be a mapping with the keys start, goals and, if wanted, workspace; "
+                "a scene must be a mapping with the keys start, goals and optionally workspace; "
                 f"got {'nothing' if content is None else type(content).__name__}"
             )
-        unknown = set(content) - {"start", "goals", "workspace"}
-        missing = {"start", "goals"} - set(content)
-        if unknown or missing:
-            parts = [f"{word} {sorted(map(str, keys))}" for word, keys in
-                     (("unknown", unknown), ("missing", missing)) if keys]  # fmt: skip
-            raise InvalidSceneError(
-                f"a scene has the keys start, goals and workspace: {', '.join(parts)}"
-            )
-        return cls(content["start"], content["goals"], content.get("workspace"))
+        differences = {
+            "unknown": content.keys() - _KEYS,
+            "missing": {"start", "goals"} - content.keys(),
+        }
+        if any(differences.values()):
+            parts = [
+                f"{word} {sorted(map(str, keys))}" for word, keys in differences.items() if keys
+            ]
+            raise InvalidSceneError(f"a scene has the keys {', '.join(_KEYS)}: {', '.join(parts)}")
+        return cls(**content)
 
     def save(self, path: str | Path) -> None:
         """Write the scene as YAML or JSON, by the file's suffix (.yaml, .yml, .json)."""
@@ -188,11 +177,7 @@ class Scene:
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
-        """Read a scene from YAML or JSON.
-
-        Raises:
-            InvalidSceneError: no such file, not YAML or JSON, or not a scene.
-        """
+        """Read a scene from YAML or JSON; anything else raises `InvalidSceneError`."""
         _check_suffix(path)
         content = read_document(path, "scene file", InvalidSceneError)
         try:
@@ -211,14 +196,13 @@ class Scene:
     ) -> Scene:
         """A scene with start and goals anywhere in the default workspace.
 
-        Points are at least 0.12 of the workspace's diagonal apart, the start at least twice that
-        from goal `target`. In 3D the goals are blocks on the table or stacked (up to four high) and
-        the start is anywhere.
+        Points are at least `MIN_SEPARATION` of the workspace's diagonal apart, the start twice that
+        from goal `target`. In 3D the goals are blocks on the table or stacked up to four high.
 
         Args:
             rng: source of randomness.
             dim: 2 or 3.
-            num_goals: G ≥ 2; drawn from 2 to 6 if not given.
+            num_goals: G, 2 to 12; drawn from 2 to 6 if not given.
             target: index of the goal that the start keeps away from.
         """
         if dim not in (2, 3):
@@ -231,7 +215,7 @@ class Scene:
         low, high = np.array(DEFAULT_WORKSPACE[dim])
         gap = MIN_SEPARATION * np.linalg.norm(high - low)
         pairs = np.triu_indices(num_goals + 1, k=1)
-        while True:  # the target's rule makes rejection of whole scenes the unbiased way
+        while True:  # rejecting whole scenes is unbiased
             points = rng.uniform(low, high, size=(num_goals + 1, dim))
             if dim == 3:
                 points[1:, 2] = low[2] + _BLOCK_HEIGHT * rng.integers(0, 4, size=num_goals)

@@ -1,10 +1,8 @@
-"""Seed streams: what a model learns from, is tuned on and is reported on never share a seed."""
+"""Seed streams: training, validation and reported evaluations never share a seed."""
 
 from __future__ import annotations
 
 import numpy as np
-
-__all__ = ["STREAMS", "plan_seeds", "stream_seed"]
 
 STREAMS = ("train", "validation", "evaluation")
 """Training data, validation data, reported evaluations."""

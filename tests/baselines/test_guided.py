@@ -1,4 +1,4 @@
-"""The guided policy in closed loop: whom it keeps away from, and for how long."""
+"""The guided policy in closed loop: it keeps away from the other goals, and for how long."""
 
 import dataclasses
 
@@ -8,6 +8,7 @@ import torch
 
 import legibility as lg
 from legibility.baselines.guided import GuidedPolicy
+from legibility.drivers import RobotStates
 from legibility.models.configuration import GoalPolicyConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.goal_policy import GoalPolicy
@@ -33,7 +34,7 @@ def act(driver, rows=(0, 1)):
     starts = np.stack([s.start for s in SCENES])
     goals = np.stack([s.goals[0] for s in SCENES])
     tracker = PathTracker(np.zeros((2, 10, 2)), 0.05, SCENES[0].workspace)
-    return driver(rows, starts, starts, goals, tracker)
+    return driver(RobotStates(rows, starts[rows], starts[rows], goals[rows], tracker.of(rows)))
 
 
 def test_a_chunk_for_each_robot_that_asks():
@@ -64,11 +65,11 @@ def test_guidance_falls_with_every_chunk():
 
 
 def test_robots_do_not_depend_on_their_neighbours():
-    """A scene with fewer goals is filled up, and what it is filled with does not count."""
+    """A scene with fewer goals is padded; the padding does not count."""
     model = make(guidance=3.0, guidance_share=0.9)
     both = act(GuidedPolicy(model, SCENES, [0, 0], seed=0))
     alone = GuidedPolicy(model, SCENES[:1], [0], seed=0)
     starts, goals = SCENES[0].start[None], SCENES[0].goals[:1]
     tracker = PathTracker(np.zeros((1, 10, 2)), 0.05, SCENES[0].workspace)
-    found = alone(np.array([0]), starts, starts, goals, tracker)
-    np.testing.assert_allclose(found[0], both[0], atol=1e-6)
+    actions = alone(RobotStates(np.array([0]), starts, starts, goals, tracker))
+    np.testing.assert_allclose(actions[0], both[0], atol=1e-6)

@@ -14,7 +14,7 @@ from legibility.baselines.planners import (
 )
 from legibility.errors import InvalidInputError
 
-OBSERVER = {"sigma": 0.15, "alpha": 3.0, "label": "anchored"}
+OBSERVER = lg.Observer()
 
 
 def scene_of(seed, dim=2, num_goals=3):
@@ -23,7 +23,7 @@ def scene_of(seed, dim=2, num_goals=3):
 
 def test_the_straight_line_is_straight():
     scene = scene_of(0)
-    path = straight_path(scene, 1, 0.7, **OBSERVER)
+    path = straight_path(scene, 1, 0.7, OBSERVER)
     assert path.length == pytest.approx(np.linalg.norm(scene.goals[1] - scene.start))
     np.testing.assert_array_equal(path.waypoints[[0, -1]], [scene.start, scene.goals[1]])
     assert not path.clipped
@@ -33,8 +33,8 @@ def test_the_straight_line_is_straight():
 @pytest.mark.parametrize("label", ["anchored", "rank"])
 def test_search_finds_what_is_asked(dim, label):
     scene = scene_of(3, dim)
-    observer = {**OBSERVER, "label": label}
-    paths = [search(scene, 0, level, 2000, 0, **observer) for level in (-1, -0.5, 0, 0.5, 1)]
+    observer = lg.Observer(label=label)
+    paths = [search(scene, 0, level, observer, 2000, 0) for level in (-1, -0.5, 0, 0.5, 1)]
     scores = [float(p.score) for p in paths]
     assert scores == sorted(scores)
     for path in paths:
@@ -50,8 +50,8 @@ def test_search_finds_what_is_asked(dim, label):
 def test_more_candidates_are_not_less_legible(seed, goals, target):
     """A search that draws on begins with the same curves."""
     scene = scene_of(seed, num_goals=goals)
-    few, many = (search(scene, target, 1.0, n, seed, **OBSERVER) for n in (50, 500))
-    straight = straight_path(scene, target, 1.0, **OBSERVER)
+    few, many = (search(scene, target, 1.0, OBSERVER, n, seed) for n in (50, 500))
+    straight = straight_path(scene, target, 1.0, OBSERVER)
     slack = 1e-3 * abs(float(straight.score)) + 1e-9  # eight points of a curve are not all of it
     assert many.score >= straight.score - slack
     assert np.isfinite(few.waypoints).all()
@@ -59,11 +59,11 @@ def test_more_candidates_are_not_less_legible(seed, goals, target):
 
 def test_search_repeats_itself():
     scene = scene_of(5)
-    first, second = (search(scene, 0, 0.8, 300, 7, **OBSERVER).waypoints for _ in range(2))
+    first, second = (search(scene, 0, 0.8, OBSERVER, 300, 7).waypoints for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    assert (first != search(scene, 0, 0.8, 300, 8, **OBSERVER).waypoints).any()
+    assert (first != search(scene, 0, 0.8, OBSERVER, 300, 8).waypoints).any()
     with pytest.raises(InvalidInputError, match="num_candidates"):
-        search(scene, 0, 0.8, 0, 7, **OBSERVER)
+        search(scene, 0, 0.8, OBSERVER, 0, 7)
 
 
 def test_the_archives_own_paths():
@@ -75,5 +75,5 @@ def test_the_archives_own_paths():
 
 def test_more_time_is_more_candidates():
     scene = scene_of(1)
-    assert candidates_within(1e-6, scene, 0, **OBSERVER) == 64
-    assert candidates_within(60.0, scene, 0, **OBSERVER) > 64
+    assert candidates_within(1e-6, scene, 0, OBSERVER) == 64
+    assert candidates_within(60.0, scene, 0, OBSERVER) > 64

@@ -24,9 +24,14 @@ def test_plan(cli, tmp_path):
     assert (tmp_path / "p.png").stat().st_size > 10_000
 
 
-@pytest.mark.filterwarnings("default:MuJoCo cannot draw")
+@pytest.fixture
+def sketched(monkeypatch):
+    """Pictures are as without OpenGL, which takes half a second for one without a graphics card."""
+    monkeypatch.setattr("legibility.envs.panda_render._renderer", lambda: None)
+
+
 @pytest.mark.parametrize(("env", "module"), [("panda", "mujoco"), ("pandagym", "pybullet")])
-def test_execute(env, module, cli, tmp_path):
+def test_execute(env, module, cli, tmp_path, sketched):
     pytest.importorskip(module, reason=f"the environment {env} needs {module}")
     line = f"execute {SCENE} --legibility -1 1 --env {env} --spectrum {tmp_path}/s.png"
     assert cli(f"{line} --video {tmp_path}/f.gif --json", tmp_path / "e.json") == 0

@@ -15,14 +15,14 @@ from legibility.errors import CheckpointError
 
 @pytest.fixture(autouse=True)
 def nothing_drawn(request, monkeypatch):
-    """Drawing takes a while; `TestDrawing` suffices."""
+    """Skip the slow drawing; `TestDrawing` covers it."""
     if request.cls is None:
         monkeypatch.setattr(doctor, "_BACKENDS", {})
 
 
 @pytest.fixture
 def plane(monkeypatch):
-    """The 2-D environment alone, for the arms' simulators take a while."""
+    """The 2-D environment alone; the arms' simulators are slow."""
     from legibility import envs
 
     monkeypatch.setattr(envs, "ENVIRONMENTS", {"2d": envs.ENVIRONMENTS["2d"]})
@@ -51,64 +51,63 @@ def absent(monkeypatch):
 
 
 def examined(cli, status=0):
+    """Whether the core works, and the state and remedy of each part by its group and name."""
     assert cli("doctor --json found.json") == status
-    return json.loads(Path("found.json").read_text())["result"]
+    result = json.loads(Path("found.json").read_text())["result"]
+    assert result["works"] is (status == 0)
+    return {(row["part"], row["name"]): (row["state"], row["remedy"]) for row in result["parts"]}
 
 
 def test_report(here, cli, capsys):
-    found = examined(cli)
+    parts = examined(cli)
     text = capsys.readouterr().out
-    assert found["works"] is True
-    assert found["system"]["legibility"] == legibility.__version__
-    assert found["system"]["python"] == ".".join(map(str, sys.version_info[:3]))
-    assert found["system"]["cores"] >= 1
-    assert found["torch"]["error"] is None
-    assert found["torch"]["build"] == "CPU" or found["torch"]["build"].startswith("CUDA ")
-    assert found["torch"]["threads"] >= 1
-    weights = found["weights"]["block-reach-2d"]
-    assert weights["error"] is None
-    assert set(weights["files"]) == {"path.safetensors", "policy.safetensors"}
-    assert all(size > 1e5 for size in weights["files"].values())
-    assert found["environments"]["2d"] == {"id": "legibility/BlockReach2D-v0", "error": None}
+    assert parts["machine", "legibility"] == (legibility.__version__, "")
+    python = ".".join(map(str, sys.version_info[:3]))
+    assert parts["machine", "Python"][0].startswith(f"{python} (")
+    assert re.search(r", [1-9]\d* cores$", parts["machine", "system"][0])
+    torch, remedy = parts["machine", "torch"]
+    assert re.search(r", (CPU|CUDA .*), [1-9]\d* threads", torch)
+    assert remedy == ""
+    weights, remedy = parts["weights", "block-reach-2d"]
+    assert re.fullmatch(r"path.safetensors [\d.]+ MB, policy.safetensors [\d.]+ MB", weights)
+    assert remedy == ""
+    assert parts["environment", "2d"] == ("works", "")
+    assert ("films as .mp4", "ffmpeg") in parts
     for name in (legibility.__version__, "block-reach-2d", "path.safetensors", "torch", "ffmpeg"):
         assert name in text
     assert text.endswith("the core works\n")
 
 
 def test_packages_are_those_of_the_distribution(here, cli, plane):
-    found = examined(cli)["packages"]
+    parts = examined(cli)
     distribution = metadata.distribution("legibility")
-    assert next(iter(found)) == "core"
-    assert set(found) == {"core", *distribution.metadata.get_all("Provides-Extra")}
-    assert sum(map(len, found.values())) == len(distribution.requires)
-    assert found["core"]["numpy"] == {
-        "wanted": "<3,>=2.0",
-        "version": metadata.version("numpy"),
-        "problem": None,
-    }
-    assert "pyright" in found["dev"]
+    groups = [part for part, _ in parts if part == "core" or part.startswith("extra ")]
+    extras = distribution.metadata.get_all("Provides-Extra")
+    assert groups[0] == "core"
+    assert set(groups) == {"core", *(f"extra {extra}" for extra in extras)}
+    assert len(groups) == len(distribution.requires)
+    assert parts["core", "numpy"] == (metadata.version("numpy"), "")
+    assert ("extra dev", "pyright") in parts
 
 
 def test_missing_extras(here, cli, capsys, absent):
     absent("panda-gym", "mujoco")
-    found = examined(cli)
+    parts = examined(cli)
     text = " ".join(capsys.readouterr().out.split())
-    assert found["works"] is True
     for extra, package in (("pandagym", "panda-gym"), ("panda", "mujoco")):
-        assert found["packages"][extra][package]["version"] is None
-        assert found["packages"][extra][package]["problem"] == "missing"
-        error = found["environments"][extra]["error"]
-        assert f"pip install 'legibility[{extra}]'" in error
-        assert f"missing: pip install 'legibility[{extra}]'" in text
-    assert found["gl"] == {}
+        remedy = f"missing: pip install 'legibility[{extra}]'"
+        assert parts[f"extra {extra}", package] == ("–", remedy)
+        assert f"pip install 'legibility[{extra}]'" in parts["environment", extra][1]
+        assert remedy in text
+    assert not any(part == "MuJoCo's pictures" for part, _ in parts)
 
 
 def test_versions_that_do_not_fit(here, cli, plane, capsys, monkeypatch):
     monkeypatch.setattr(metadata, "version", lambda name: "0.0.1")
-    found = examined(cli)
-    assert found["packages"]["core"]["numpy"]["problem"] == "<3,>=2.0 is wanted"
+    remedy = "<3,>=2.0 is wanted: pip install --upgrade 'legibility'"
+    assert examined(cli)["core", "numpy"] == ("0.0.1", remedy)
     text = capsys.readouterr().out
-    assert "<3,>=2.0 is wanted: pip install --upgrade 'legibility'" in text
+    assert remedy in text
     assert re.search(r"is wanted: pip install --upgrade 'legibility\[viewer\]'", text)
 
 
@@ -117,7 +116,8 @@ def test_sources_without_a_distribution(here, cli, plane, monkeypatch):
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "distribution", missing)
-    assert examined(cli)["packages"] == {}
+    groups = {part for part, _ in examined(cli)}
+    assert groups == {"machine", "environment", "weights", "films as .mp4"}
 
 
 @pytest.mark.parametrize("what", ["weights", "networks", "environment", "gymnasium"])
@@ -133,24 +133,24 @@ def test_a_core_that_does_not_work(what, here, cli, plane, capsys, monkeypatch):
         monkeypatch.setattr("legibility.envs.block_reach_2d.BlockReach2D.step", broken)
     else:
         monkeypatch.setitem(sys.modules, "gymnasium", None)
-    found = examined(cli, status=2)
+    part = {
+        "weights": "weights block-reach-2d", "networks": "weights block-reach-2d",
+        "environment": "environment 2d", "gymnasium": "environment 2d",
+    }[what]  # fmt: skip
+    examined(cli, status=2)
     output = capsys.readouterr()
-    assert found["works"] is False
-    assert "parts that work" in output.out
-    assert output.err.startswith("legibility: error: the ")
+    assert "films as .mp4" in output.out
+    assert output.err.startswith(f"legibility: error: the core does not work: {part}: ")
     assert output.err.count("\n") == 1
     if what in ("weights", "environment"):
-        assert output.err.endswith("does not work: the weights are spoilt\n")
+        assert output.err.endswith(": the weights are spoilt\n")
 
 
 def test_torch_that_cannot_be_loaded(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    found = doctor._torch()
-    assert found == {"error": found["error"]}
-    assert "torch" in found["error"]
-    assert ("torch", found["error"]) in doctor._machine_rows(
-        {"system": doctor._system(), "torch": found}
-    )
+    torch = list(doctor._machine())[-1]
+    assert torch[:3] == ("machine", "torch", "–")
+    assert "torch" in torch.remedy
 
 
 def test_file_that_cannot_be_written(here, refused):
@@ -158,16 +158,18 @@ def test_file_that_cannot_be_written(here, refused):
 
 
 class TestDrawing:
-    """Each backend in a process of its own, which may do whatever it likes."""
+    """Each backend draws in a process of its own, which it may end."""
 
     @pytest.fixture(autouse=True)
     def mujoco(self):
         pytest.importorskip("mujoco", reason="MuJoCo is NOT TESTED: the extra panda is missing")
 
     def test_every_backend_is_tried(self):
-        backends = doctor._backends()
-        assert backends == (["egl", "osmesa", "glfw"] if sys.platform == "linux" else ["glfw"])
-        assert all(error is None or error for error in map(doctor._renderer_error, backends))
+        parts = doctor._renderers()
+        backends = ["egl", "osmesa", "glfw"] if sys.platform == "linux" else ["glfw"]
+        assert [part.name for part in parts] == backends
+        for part in parts:
+            assert (part.state, bool(part.remedy)) in (("works", False), ("–", True))
 
     @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
     @pytest.mark.parametrize(
@@ -179,20 +181,19 @@ class TestDrawing:
             ("import time; time.sleep(60)", "no picture after 1 s"),
         ],
     )
-    def test_what_may_come_of_it(self, script, expected, monkeypatch):
+    def test_error_of_a_renderer(self, script, expected, monkeypatch):
         monkeypatch.setattr(doctor, "_DRAW", script)
         if expected and "picture" in expected:
             monkeypatch.setattr(doctor, "_PATIENCE", 1.0)
-        assert doctor._renderer_error("glfw") == expected
+        part = doctor._attempt("MuJoCo's pictures", "glfw", doctor._draw)
+        assert part.state == ("–" if expected else "works")
+        assert part.remedy.endswith(f" ({expected})" if expected else "")
 
-    def test_remedy(self):
-        result = {
-            "environments": {},
-            "weights": {},
-            "gl": {"osmesa": "no libOSMesa", "egl": None},
-            "ffmpeg": None,
-        }
-        osmesa, egl, ffmpeg = doctor._working_rows(result)
-        assert osmesa[2:] == ("–", "apt-get install libosmesa6 (no libOSMesa)")
-        assert egl[2:] == ("works", "")
-        assert "apt-get install ffmpeg" in ffmpeg[3]
+    def test_remedy(self, monkeypatch):
+        monkeypatch.setattr(doctor, "_DRAW", "raise SystemExit('no libOSMesa')")
+        osmesa = doctor._attempt("MuJoCo's pictures", "osmesa", doctor._draw)
+        assert osmesa.remedy == "apt-get install libosmesa6 (no libOSMesa)"
+        monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
+        (ffmpeg,) = doctor._ffmpeg()
+        assert ffmpeg.state == "–"
+        assert "apt-get install ffmpeg" in ffmpeg.remedy

@@ -1,14 +1,8 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
-
-import pytest
 
 from legibility.evaluation.dial import METRICS
 from legibility.evaluation.execution import ROWS
-
-VERBS = ("dial", "execution", "table1", "unseen", "spectrum", "ablations")
 
 
 def test_dial(here, weights, cli, capsys):
@@ -81,18 +75,6 @@ def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys)
     monkeypatch.setattr("legibility.training.path.PathBatches.loss", None)
     assert cli(words, dataset, "--model", weights) == 0
     assert json.loads(Path("ablations-tiny.json").read_text()) == content
-
-
-@pytest.mark.parametrize("verb", [*(f"evaluate {verb}" for verb in VERBS), "report"])
-def test_help_is_light(verb):
-    code = (
-        "import sys; from legibility.cli import main; main(sys.argv[1:]);"
-        "sys.exit(bool({'torch', 'matplotlib', 'scipy.stats', 'diffusers'} & set(sys.modules)))"
-    )
-    words = [*verb.split(), "--help"]
-    run = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=False)
-    assert run.returncode == 0
-    assert b"--json" in run.stdout or verb == "report"
 
 
 def test_json_is_written_before_a_picture_fails(here, weights, cli, monkeypatch):

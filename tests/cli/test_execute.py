@@ -49,7 +49,7 @@ def test_report(executed):
     scene = lg.Scene.from_dict(result["scene"])
     assert scene == lg.Scene.load("scene.yaml")
     assert result["target"] == 1
-    assert result["observer"]["sigma"] == 0.15
+    assert lg.Observer(**result["observer"]) == lg.Observer.paper(2)
     rows = result["rollouts"]
     assert [row["legibility"] for row in rows] == [-1, 0, 1]
     for row in rows:

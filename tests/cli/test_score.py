@@ -20,9 +20,8 @@ def test_example(here, capsys):
     content = json.loads(Path("s.json").read_text())
     assert content["legibility"] == lg.__version__
     assert content["command"] == f"legibility score {files[0]} {files[1]} --json s.json"
-    assert content["config"] == {
-        "target": 0, "sigma": 0.15, "alpha": 3.0, "beta": 10.0, "label": "anchored",
-    }  # fmt: skip
+    observer = {"sigma": 0.15, "alpha": 3.0, "label": "anchored"}
+    assert content["config"] == {"target": 0, "observer": observer, "beta": 10.0}
     rows = {row["name"]: row for row in content["result"]["trajectories"]}
     assert rows["legible"]["achieved_label"] > 0.99
     assert abs(rows["straight"]["achieved_label"]) < 0.01
@@ -43,7 +42,7 @@ def test_options_change_the_observer(here, cli):
     points = np.array([[0, 0.5], [0.4, 0.4], [1, 0.3]])
     for name, value in lg.metrics.evaluate_trajectory(points, field, 1, 0, 2).items():
         assert row[name] == (pytest.approx(float(value)) if np.isfinite(value) else None)
-    archive = lg.build_archive(scene, 1, sigma=0.3, alpha=0, label="rank")
+    archive = lg.build_archive(scene, 1, observer=lg.Observer(0.3, alpha=0, label="rank"))
     assert row["achieved_label"] == pytest.approx(float(archive.label_of(row["legibility_score"])))
 
 
@@ -75,7 +74,7 @@ def test_solid_scene(here, capsys):
     Path("t.csv").write_text("x,y,z\n-0.2,-0.2,0.3\n0,0.1,0.02\n")
     assert main(["score", "t.csv", "solid.yaml", "--json", "s.json"]) == 0
     content = json.loads(Path("s.json").read_text())
-    assert content["config"]["sigma"] == 0.08
+    assert content["config"]["observer"]["sigma"] == 0.08
     assert abs(content["result"]["trajectories"][0]["achieved_label"]) < 1e-6
 
 

@@ -17,16 +17,14 @@ from legibility.curves import NUM_WAYPOINTS, arc_length, path_curve
 from legibility.data import dataset
 from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import LABEL_KNOTS, Dataset, generate, select, shard_names
-from legibility.data.scenes import SceneStream
 from legibility.errors import DatasetError, InvalidInputError, OutputError
 from legibility.intent.metrics import SCORE_POINTS
-from legibility.intent.observer import Observer
-from legibility.motion.archive import DEFAULT_CELLS, build_archive
-from legibility.seeds import STREAMS
+from legibility.motion.archive import build_archive
 
 SOURCE = str(Path(lg.__file__).parents[1])
 TINY = DatasetConfig(scenes=6, cells=8, per_scene=9)
 """Two shards where a shard is four scenes."""
+SHARDS = ["train-00000.parquet", "train-00001.parquet"]
 
 
 def hashes(folder):
@@ -65,10 +63,14 @@ def copy(tiny, tmp_path, small_shards):
 def data(request, tmp_path_factory):
     dim, label = request.param
     config = DatasetConfig(
-        dim=dim, scenes=5, cells=24 if dim == 2 else 10, per_scene=65, seed=4,
-        observer=Observer(label=label),
+        dim=dim, scenes=5, cells=24 if dim == 2 else 10, per_scene=65,
+        observer=lg.Observer(label=label), seed=4,
     )  # fmt: skip
     return generate(config, tmp_path_factory.mktemp("data"))
+
+
+def archive_of(data, index):
+    return data.config.source.archive(index, data.config.observer, data.config.cells)
 
 
 def spoil_manifest(folder, **changes):
@@ -79,14 +81,13 @@ def spoil_manifest(folder, **changes):
 class TestSameBytes:
     def test_for_one_worker_and_two(self, tiny, tmp_path, small_shards):
         generate(TINY, tmp_path, workers=2)
-        assert list(hashes(tiny)) == ["manifest.json", "train-00000.parquet", "train-00001.parquet"]
+        assert list(hashes(tmp_path)) == ["manifest.json", *SHARDS]
         assert hashes(tmp_path) == hashes(tiny)
 
     def test_for_any_number_of_threads(self, tiny, tmp_path):
         script = (
             "import sys; from legibility.data import dataset; dataset.SHARD = 4\n"
-            "from legibility.data.configuration import DatasetConfig\n"
-            "dataset.generate(DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])"
+            "dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])"
         )
         for threads in ("1", "2"):
             folder = tmp_path / threads
@@ -101,7 +102,7 @@ class TestSameBytes:
     @pytest.mark.parametrize("lost", [[0], [1], [0, 1]])
     def test_after_shards_were_not_reached(self, copy, tiny, lost):
         for number in lost:
-            (copy / shard_names(TINY)[number]).unlink()
+            (copy / SHARDS[number]).unlink()
         manifest = json.loads((tiny / "manifest.json").read_text())
         begun = {key: manifest[key] for key in ("format", "config")}
         (copy / "manifest.json").write_text(json.dumps({**begun, "complete": False}))
@@ -117,7 +118,7 @@ class TestSameBytes:
         script = """
 import os, signal, sys
 from legibility import files
-from legibility.data import configuration, dataset, shards
+from legibility.data import dataset, shards
 dataset.SHARD = 4
 def half(path, content):
     if "00001" not in path.name:
@@ -126,7 +127,7 @@ def half(path, content):
         temporary.write_bytes(content[: len(content) // 2])
         os.kill(os.getpid(), signal.SIGKILL)
 shards.write_bytes = half
-dataset.generate(configuration.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
+dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
 """
         folder = tmp_path / "killed"
         run = subprocess.run(
@@ -151,7 +152,7 @@ dataset.generate(configuration.DatasetConfig(scenes=6, cells=8, per_scene=9), sy
         "change", [lambda file: file.unlink(), lambda file: file.write_bytes(b"x")]
     )
     def test_a_complete_one_that_was_damaged_is_repaired(self, copy, tiny, change):
-        change(copy / shard_names(TINY)[1])
+        change(copy / SHARDS[1])
         with pytest.raises(DatasetError, match="missing or not as it was written"):
             Dataset.load(copy)
         generate(TINY, copy)
@@ -167,7 +168,7 @@ dataset.generate(configuration.DatasetConfig(scenes=6, cells=8, per_scene=9), sy
 
     def test_damaged_shard_of_an_interrupted_run_is_made_again(self, copy, tiny):
         spoil_manifest(copy, complete=False)
-        shard = copy / shard_names(TINY)[0]
+        shard = copy / SHARDS[0]
         content = bytearray(shard.read_bytes())
         content[len(content) // 3] ^= 255
         shard.write_bytes(content)
@@ -188,7 +189,7 @@ class TestRefuses:
         assert hashes(copy) == before
 
     def test_a_changed_shard(self, copy):
-        shard = copy / shard_names(TINY)[1]
+        shard = copy / SHARDS[1]
         content = bytearray(shard.read_bytes())
         content[len(content) // 2] ^= 1
         shard.write_bytes(content)
@@ -196,13 +197,13 @@ class TestRefuses:
             Dataset.load(copy)
 
     def test_a_truncated_shard(self, copy):
-        shard = copy / shard_names(TINY)[0]
+        shard = copy / SHARDS[0]
         shard.write_bytes(shard.read_bytes()[:-10])
         with pytest.raises(DatasetError, match=r"train-00000\.parquet is missing or not as it was"):
             Dataset.load(copy)
 
     def test_a_missing_shard(self, copy):
-        (copy / shard_names(TINY)[1]).unlink()
+        (copy / SHARDS[1]).unlink()
         with pytest.raises(DatasetError, match=r"train-00001\.parquet is missing"):
             Dataset.load(copy)
 
@@ -264,95 +265,9 @@ class TestRefuses:
         assert not (tmp_path / "data").exists()
 
 
-class TestConfig:
-    def test_defaults_of_the_dimension_are_filled_in(self):
-        for dim in (2, 3):
-            config = DatasetConfig(dim=dim)
-            assert (config.observer, config.cells) == (Observer.paper(dim), DEFAULT_CELLS[dim])
-
-    @pytest.mark.parametrize(
-        "config",
-        [
-            DatasetConfig(),
-            DatasetConfig(dim=3, scenes=3, seed=5, stream="validation", goals=(3, 3)),
-            DatasetConfig(per_scene=33, efficiency=0.5, cells=9, observer=Observer(0.2, 1, "rank")),
-        ],
-        ids=str,
-    )
-    def test_round_trip(self, config):
-        assert DatasetConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
-
-    def test_unknown_keys(self):
-        with pytest.raises(DatasetError, match="speed"):
-            DatasetConfig.from_dict({**DatasetConfig().to_dict(), "speed": 1})
-
-    def test_shard_names(self):
-        names = shard_names(DatasetConfig(scenes=129, stream="validation"))
-        assert names == [f"validation-0000{i}.parquet" for i in range(3)]
-
-    @pytest.mark.parametrize(
-        "wrong",
-        [
-            {"dim": 4},
-            {"dim": "2"},
-            {"dim": [2]},
-            {"scenes": 0},
-            {"scenes": 1.5},
-            {"seed": -1},
-            {"seed": 0.5},
-            {"stream": "test"},
-            {"stream": "evaluation"},
-            {"goals": (1, 4)},
-            {"goals": (4, 3)},
-            {"goals": (2, 13)},
-            {"goals": (2.5, 4)},
-            {"goals": (2,)},
-            {"goals": 3},
-            {"goals": "ab"},
-            {"per_scene": 2},
-            {"per_scene": 3.5},
-            {"efficiency": 0},
-            {"efficiency": np.nan},
-            {"efficiency": "much"},
-            {"cells": 1},
-            {"cells": 2.5},
-        ],
-        ids=str,
-    )
-    def test_bad_values(self, wrong):
-        with pytest.raises(InvalidInputError, match=next(iter(wrong))):
-            DatasetConfig(**wrong)
-
-
-class TestScenes:
-    @pytest.mark.parametrize("dim", [2, 3])
-    def test_streams_seeds_and_indices_never_share_a_scene(self, dim):
-        scenes = [
-            SceneStream(stream, dim, seed=seed).scene(index)
-            for stream in STREAMS
-            for seed in (0, 1, 2)
-            for index in (0, 1, 2)
-        ]
-        assert len({point.tobytes() for scene in scenes for point in scene.goals}) == sum(
-            scene.num_goals for scene in scenes
-        )
-
-    def test_other_settings_keep_the_scenes(self):
-        """So that observers and archives can be compared on the same scenes."""
-        observer = Observer(sigma=0.3, label="rank")
-        other = DatasetConfig(cells=9, observer=observer, per_scene=5, scenes=9)
-        assert other.source.scene(3) == DatasetConfig(cells=8).source.scene(3)
-
-    def test_number_of_goals(self):
-        stream = SceneStream("train", goals=(3, 4))
-        assert {stream.scene(i).num_goals for i in range(12)} == {3, 4}
-
-    def test_archive_is_of_the_configuration(self):
-        observer = Observer(0.3, 1.0, "rank")
-        archive = SceneStream("train").archive(0, observer, cells=9)
-        assert (archive.observer, archive.field.sigma) == (observer, 0.3)
-        assert archive.target == 0
-        assert len(archive) <= 81
+def test_shard_names():
+    names = shard_names(DatasetConfig(scenes=129, stream="validation"))
+    assert names == [f"validation-0000{i}.parquet" for i in range(3)]
 
 
 class TestContent:
@@ -379,20 +294,12 @@ class TestContent:
             for name, values in data.summary.items():
                 np.testing.assert_array_equal(other.summary[name], values)
 
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def archives(data):
-        """Those of the scenes, made again."""
-        config = data.config
-        indices = range(config.scenes)
-        return [config.source.archive(i, config.observer, config.cells) for i in indices]
-
-    def test_scenes_and_summary_are_those_of_the_configuration(self, data, archives):
+    def test_scenes_and_summary_are_those_of_the_configuration(self, data):
         for index, scene in enumerate(data.scenes):
-            archive = archives[index]
-            assert scene == archive.scene
-            summary = {name: values[index] for name, values in data.summary.items()}
-            assert summary == {
+            assert scene == data.config.source.scene(index)
+            archive = archive_of(data, index)
+            found = {name: values[index] for name, values in data.summary.items()}
+            assert found == {
                 "elites": len(archive),
                 "candidates": archive.num_candidates,
                 "coverage": archive.coverage,
@@ -405,9 +312,12 @@ class TestContent:
         ends = [np.tile(end, (len(waypoints), 1, 1)) for end in (scene.start, scene.goals[0])]
         return path_curve(np.concatenate([ends[0], waypoints, ends[1]], axis=1), SCORE_POINTS)
 
-    def test_labels_are_those_of_the_curve_through_the_waypoints(self, data, archives):
-        for index, archive in enumerate(archives):
-            scores = archive.observer.score(self.curves(data, index), archive.scene, 0)
+    def test_labels_are_those_of_the_curve_through_the_waypoints(self, data):
+        for index in range(data.config.scenes):
+            archive = archive_of(data, index)
+            scores = lg.metrics.legibility_score(
+                self.curves(data, index), archive.field, 0, data.config.observer.alpha
+            )
             np.testing.assert_allclose(data.scores[index], scores, rtol=1e-4, atol=1e-5)
             np.testing.assert_allclose(data.labels[index], archive.label_of(scores), atol=5e-3)
 
@@ -432,14 +342,13 @@ class TestContent:
         assert np.abs(data.labels - wanted).mean() < 0.02
         assert np.abs(data.labels - wanted).max() < 0.15
         shares = np.histogram(data.labels, bins=8, range=(-1, 1))[0] / data.labels.size
-        assert (np.abs(shares - 1 / 8) < 0.03).all()
+        assert (np.abs(shares - 1 / 8) < 0.02).all()
 
     def test_ends_of_the_dial_are_there(self, data):
         assert (data.labels[:, 0] < -0.9).all()
         assert (data.labels[:, -1] > 0.9).all()
 
     def test_level_zero_is_the_straight_line(self, data):
-        """The worst of six seeds on two instruction sets: 0.033 and 1.0001."""
         if data.config.observer.label == "rank":
             return  # its ℓ = 0 is the median
         middle = data.config.per_scene // 2
@@ -447,9 +356,9 @@ class TestContent:
             straight = np.linspace(scene.start, scene.goals[0], NUM_WAYPOINTS + 2)[1:-1]
             length = np.linalg.norm(scene.goals[0] - scene.start)
             gap = np.linalg.norm(data.waypoints[index, middle] - straight, axis=-1).max()
-            assert gap < 0.1 * length
+            assert gap < 0.1 * length  # at most 0.033 over six seeds and two instruction sets
             curve = self.curves(data, index)[middle]
-            assert arc_length(curve) < 1.005 * length
+            assert arc_length(curve) < 1.002 * length
 
     def test_another_set_has_another_digest(self, tiny, tmp_path, small_shards):
         other = generate(dataclasses.replace(TINY, seed=9), tmp_path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from legibility import Scene
-from legibility.envs import panda_meshes, panda_render
+from legibility.envs import panda_render
 from legibility.envs.arm import HOME
 from legibility.envs.panda_render import Camera, arm_image
 from legibility.errors import InvalidInputError
@@ -32,12 +32,12 @@ def drawn(request, monkeypatch):
         panda_render._LOCAL.renderer = None
         yield
         return
-    monkeypatch.setattr(panda_render, "franka_meshes", list)
+    monkeypatch.setattr(panda_render, "_franka_meshes", list)
     panda_render._looks.cache_clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = panda_render._renderer()
-    if found is None:
+        renderer = panda_render._renderer()
+    if renderer is None:
         pytest.skip("pictures by OpenGL are NOT TESTED: neither EGL nor OSMesa works here")
     yield
     panda_render._looks.cache_clear()
@@ -63,7 +63,7 @@ def test_a_scene(drawn):
 def test_both_see_the_same(monkeypatch):
     """Blocks lie in the same place of the picture with OpenGL and without."""
     monkeypatch.setattr(panda_render, "_LOCAL", type(panda_render._LOCAL)())
-    monkeypatch.setattr(panda_render, "franka_meshes", list)
+    monkeypatch.setattr(panda_render, "_franka_meshes", list)
     panda_render._looks.cache_clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -81,12 +81,11 @@ def test_both_see_the_same(monkeypatch):
 
 
 def test_without_opengl_it_says_so_once(monkeypatch):
-    class Failing:
-        def GLContext(self, width, height):
-            raise RuntimeError("no display")
+    def fail(way):
+        raise RuntimeError("no display")
 
     monkeypatch.setattr(panda_render, "_LOCAL", type(panda_render._LOCAL)())
-    monkeypatch.setattr(panda_render.importlib, "import_module", lambda name: Failing())
+    monkeypatch.setattr(panda_render, "_Renderer", fail)
     with pytest.warns(UserWarning, match=r"no display.* only sketched; apt-get install libegl1"):
         arm_image(SCENE, 0, HOME)
     with warnings.catch_warnings():
@@ -109,16 +108,23 @@ def test_meshes_are_split_by_material():
         "usemtl white", "f 1/1/1 2/1/1 3/1/1 4/1/1",
         "usemtl dark", "f 4//1 1//1 2//1",
     ))  # fmt: skip
-    parts = panda_meshes._split(text)
-    assert parts["white"].count("\nf ") == 2  # a square is two triangles
-    assert parts["dark"].splitlines()[-1] == "f 1//1 2//1 3//1"
-    assert "v 1 1 0" not in parts["dark"]
+    parts = panda_render._split(text)
+    triangles = {
+        name: part["uservert"].reshape(-1, 3)[part["userface"]].reshape(-1, 3, 3).tolist()
+        for name, part in parts.items()
+    }
+    o, x, xy, y = [0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]
+    assert triangles == {"white": [[o, x, xy], [o, xy, y]], "dark": [[y, o, x]]}
+    for part in parts.values():
+        assert part["userfacenormal"].tolist() == part["userface"].tolist()
+        assert (part["usernormal"].reshape(-1, 3) == [0, 0, 1]).all()
+    assert len(parts["dark"]["uservert"]) == 9  # without the vertex of the other
 
 
 def test_franka_meshes_load():
     pytest.importorskip("pybullet_data", reason="Franka's meshes are NOT TESTED: no pybullet_data")
-    parts = panda_meshes.franka_meshes()
-    assert {link for _, link, _, _ in parts} == {*(f"link{i}" for i in range(8)), "hand", "finger"}
+    parts = panda_render._franka_meshes()
+    assert {link for link, _, _ in parts} == {*(f"link{i}" for i in range(8)), "hand", "finger"}
     panda_render._looks.cache_clear()
     model = panda_render._looks()
     assert model.nmesh == len(parts)

@@ -118,13 +118,13 @@ class TestContest:
         archive = modulator.archive(scene, 0)
         contest = Contest(modulator, policies, KIND, (64, 640))
         gains = []
-        execute = modulator.execute
+        execute = modulator.execute_many
 
         def spy(env, **options):
             gains.append(env.hidden["gain"].copy())
             return execute(env, **options)
 
-        monkeypatch.setattr(modulator, "execute", spy)
+        monkeypatch.setattr(modulator, "execute_many", spy)
         with pool() as each:
             found = contest.motions([(name, jobs, [archive] * 3) for name in METHODS], each)
         assert [len(motions) for motions in found] == [3] * len(METHODS)
@@ -132,6 +132,7 @@ class TestContest:
             for motion in motions:
                 assert np.isfinite(motion.states).all()
                 assert scene.contains(motion.states, 1e-9).all()
+        assert len(gains) == len(METHODS)
         for other in gains[1:]:
             np.testing.assert_array_equal(gains[0], other)
 

@@ -3,25 +3,27 @@
 import dataclasses
 import functools
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import torch
-from legibility.execution import Rollout
 
 import legibility as lg
 from legibility.curves import path_curve
-from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import paths_of
+from legibility.data.scenes import SceneStream
 from legibility.errors import InvalidInputError
 from legibility.evaluation import dial
 from legibility.evaluation.configuration import DialConfig
 from legibility.evaluation.dial import METRICS, evaluate_dial, worst
-from legibility.intent.metrics import SCORE_POINTS, legibility_score
+from legibility.intent.metrics import SCORE_POINTS
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser
-from legibility.modulator import Modulator, Path
+from legibility.modulator import Modulator
+from legibility.motion.path import Path
+from legibility.rollout import Rollout
 
 torch.set_num_threads(1)
 
@@ -33,8 +35,9 @@ EXECUTED = {"success", "deviation"}
 
 @pytest.fixture(autouse=True, scope="module")
 def quickly():
-    """A plan is timed twice, not two hundred times."""
+    """A plan is timed twice, not two hundred times, and an archive is built once for all tests."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SceneStream, "archive", functools.cache(SceneStream.archive))
         timed = functools.partial(dial.plan_milliseconds, repeats=2)
         patch.setattr(dial, "plan_milliseconds", timed)
         yield
@@ -43,12 +46,12 @@ def quickly():
 class Fake:
     """A modulator that picks its paths from an archive, `pick(rng, labels, asked)` says which."""
 
+    _known: ClassVar[dict] = {}
+
     def __init__(self, pick, dim=2, label="anchored"):
-        sigma = {2: 0.15, 3: 0.08}[dim]
-        self.config = PathDiffuserConfig(dim=dim, label=label, sigma=sigma)
+        self.config = PathDiffuserConfig(dim=dim, observer=lg.Observer(label=label))
         self.pick = pick
         self.scenes, self.options, self.asked = [], [], []
-        self._known = {}
 
     def plan(
         self,
@@ -63,17 +66,16 @@ class Fake:
     ):
         self.scenes.append(scene)
         self.options.append((guidance, steps))
-        if scene not in self._known:
+        observer = self.config.observer
+        if (scene, observer) not in self._known:
             # Another archive than the evaluation's own: its seed is another.
-            archive = lg.build_archive(
-                scene, target, sigma=self.config.sigma, label=self.config.label, seed=99
-            )
+            archive = lg.build_archive(scene, target, observer=observer, seed=99)
             paths = paths_of(archive)
             inside = scene.contains(path_curve(paths, SCORE_POINTS)).all(-1)
             paths = paths[inside]
-            scores = legibility_score(path_curve(paths, SCORE_POINTS), archive.field, target)
-            self._known[scene] = archive, paths, archive.label_of(scores)
-        archive, paths, labels = self._known[scene]
+            scores = archive.observer.score(path_curve(paths, SCORE_POINTS), scene, target)
+            self._known[scene, observer] = paths, archive.label_of(scores)
+        paths, labels = self._known[scene, observer]
         asked = np.atleast_1d(legibility)
         self.asked.append(asked)
         rng = np.random.default_rng([seed, 1])
@@ -83,8 +85,7 @@ class Fake:
         clipped = np.zeros(len(asked), dtype=bool)
         if np.ndim(legibility) == 0:
             chosen, clipped = chosen[0], clipped[0]
-        return Path(scene, target, np.asarray(legibility), chosen, clipped, archive.field,
-                    self.config.alpha, self.config.label)  # fmt: skip
+        return Path(scene, target, np.asarray(legibility), chosen, clipped, observer)
 
 
 def perfect(rng, labels, asked):
@@ -241,12 +242,8 @@ class TestProtocol:
         fake = Fake(perfect)
         config = DialConfig(scenes=2, levels=3, samples=1, candidates=0, seed=5, goals=(3, 4))
         evaluate_dial(fake, config)
-        expected = [
-            DatasetConfig(stream="evaluation", seed=5, goals=(3, 4)).scene(i)[0] for i in range(2)
-        ]
-        assert list(dict.fromkeys(fake.scenes)) == expected
-        trained = {DatasetConfig(seed=5, goals=(3, 4), cells=8).scene(i)[0] for i in range(2)}
-        assert not trained & set(expected)
+        stream = SceneStream("evaluation", goals=(3, 4), seed=5)
+        assert list(dict.fromkeys(fake.scenes)) == [stream.scene(i) for i in range(2)]
 
     def test_levels_and_samples_are_asked(self):
         fake = Fake(perfect)
@@ -325,7 +322,8 @@ class TestReport:
         assert fewer["scenes"] == found["scenes"][:2]
 
     def test_figures_equal_a_plan_by_hand(self, tiny, found, monkeypatch):
-        scene, archive = DatasetConfig(stream="evaluation", seed=1).scene(0)
+        archive = SceneStream("evaluation", seed=1).archive(0, tiny.config.observer)
+        scene = archive.scene
         asked = np.repeat(np.linspace(-1, 1, 5), 2)
         seeds = []
         plan = tiny.plan
@@ -366,11 +364,11 @@ class TestClosedLoop:
         """Figures of motions that follow their paths exactly but for what `change` does to them."""
 
         def measure(change=lambda states: states, success=True):
-            def execute(env, *, legibility, seed, path):
+            def execute(env, *, legibility, seed, paths):
                 seen.append((env.hidden["gain"].copy(), env.scenes, env.targets))
-                np.testing.assert_array_equal([p.legibility for p in path], legibility)
+                np.testing.assert_array_equal([p.legibility for p in paths], legibility)
                 found = []
-                for one in path:
+                for one in paths:
                     states = change(one.trajectory(SCORE_POINTS))
                     off = np.full(len(states) - 1, 0.01)
                     found.append(Rollout(one, states, np.diff(states, axis=0), success,
@@ -378,7 +376,7 @@ class TestClosedLoop:
                                          0))  # fmt: skip
                 return found
 
-            monkeypatch.setattr(shipped, "execute", execute)
+            monkeypatch.setattr(shipped, "execute_many", execute)
             return evaluate_dial(shipped, dataclasses.replace(SMALL, closed_loop=True))
 
         seen = measure.seen = []
@@ -408,7 +406,7 @@ class TestClosedLoop:
     def test_every_motion_has_a_world_of_its_own(self, executed, shipped):
         closed = executed()
         for index, (gains, scenes, targets) in enumerate(executed.seen):
-            scene, _ = DatasetConfig(stream="evaluation", seed=1).scene(index)
+            scene = SceneStream("evaluation", seed=1).scene(index)
             assert set(scenes) == {scene}
             assert not targets.any()
             assert len(np.unique(gains)) == len(gains) == 10

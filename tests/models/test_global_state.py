@@ -48,7 +48,7 @@ def actions(model):
     features = rng.normal(size=(4, policy.observe.in_features)).astype(np.float32)
     observation = Observation(features, np.stack([np.eye(dim)] * 4), rng.random(4) < 0.5)
     noise = torch.from_numpy(rng.normal(size=(4, config.chunk, dim)).astype(np.float32))
-    return model._actor.act(observation, noise)
+    return model._policy.act(observation, noise)
 
 
 def load(name, backend):

@@ -71,7 +71,7 @@ def test_only_the_models_own_steps_and_guidance_are_run(pair):
     path = model.plan(scene, 0, 0.3, **options)
     np.testing.assert_array_equal(path.waypoints, model.plan(scene, 0, 0.3).waypoints)
     for name, own in options.items():
-        with pytest.raises(InvalidInputError, match=rf"{name}.* {own:g}"):
+        with pytest.raises(InvalidInputError, match=rf"{own:g}.*only, got.*{own + 1:g}"):
             model.plan(scene, 0, 0.3, **{name: own + 1})
 
 
@@ -87,10 +87,10 @@ def observed(model, size):
 def test_actions_are_the_same(pair, size):
     policy = pair[0].path_policy
     observation, noise = observed(policy, size)
-    actions = pair[1]._actor.act(observation, noise)
+    actions = pair[1]._policy.act(observation, noise)
     np.testing.assert_allclose(actions, policy.act(observation, noise), atol=1e-6)
     with pytest.raises(InvalidInputError, match="steps"):
-        pair[1]._actor.act(observation, noise, policy.config.sampling_steps + 1)
+        pair[1]._policy.act(observation, noise, policy.config.sampling_steps + 1)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_executed_motions_are_the_same():
         env = BlockReach2DVector(3)
         env.reset(seed=0)
         model = Modulator.from_pretrained("block-reach-2d", backend=backend)
-        rollouts.append(model.execute(env, legibility=[-1, 0, 1], seed=0))
+        rollouts.append(model.execute_many(env, legibility=[-1, 0, 1], seed=0))
     for one, two in zip(*rollouts, strict=True):
         assert (one.reason, len(one.states)) == (two.reason, len(two.states))
         np.testing.assert_allclose(two.states, one.states, atol=1e-4)
@@ -215,7 +215,7 @@ def test_a_model_goes_to_another_process():
     for modulator in (model, other):
         env = BlockReach2DVector(2)
         env.reset(seed=0)
-        rollouts.append(modulator.execute(env, legibility=[-1, 1], seed=0))
+        rollouts.append(modulator.execute_many(env, legibility=[-1, 1], seed=0))
     for one, two in zip(*rollouts, strict=True):
         np.testing.assert_array_equal(two.states, one.states)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from legibility import InformationPotentialField, Scene
+from legibility import InformationPotentialField, Observer, Scene
 from legibility.curves import NUM_WAYPOINTS
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.models.checkpoint import load_state
@@ -50,7 +50,9 @@ class TestConfig:
         "config",
         [
             PathDiffuserConfig(),
-            PathDiffuserConfig(dim=3, label="rank", field=False, guidance=0.5, **TINY),
+            PathDiffuserConfig(
+                dim=3, observer=Observer(0.2, 1.0, "rank"), field=False, guidance=0.5, **TINY
+            ),
         ],
         ids=str,
     )
@@ -68,10 +70,20 @@ class TestConfig:
         with pytest.raises(CheckpointError, match="speed"):
             PathDiffuserConfig.from_dict({**PathDiffuserConfig().to_dict(), "speed": 1})
 
-    @pytest.mark.parametrize("field", [1, None, "no"])
-    def test_field_is_there_or_not(self, field):
-        with pytest.raises(InvalidInputError, match="field must be true or false"):
-            PathDiffuserConfig(field=field)
+    @pytest.mark.parametrize("value", [1, None, "no"])
+    @pytest.mark.parametrize("name", ["field", "distilled"])
+    def test_true_or_false(self, name, value):
+        with pytest.raises(InvalidInputError, match=f"{name} must be true or false"):
+            PathDiffuserConfig(**{name: value})
+
+    @pytest.mark.parametrize("observer", [None, "rank", {"sigma": 0.15}])
+    def test_observer_is_one(self, observer):
+        with pytest.raises(InvalidInputError, match=r"observer must be a legibility\.Observer"):
+            PathDiffuserConfig(observer=observer)
+
+    def test_sigma_of_the_dimension_is_filled_in(self):
+        sigmas = {PathDiffuserConfig(dim=dim).observer.sigma for dim in (2, 3)}
+        assert sigmas == {0.15, 0.08}
 
 
 class TestLatent:
@@ -126,10 +138,10 @@ class TestConditions:
 
     def test_potential_is_the_fields(self, dim):
         targets = [0, 1, 0]
-        model, points = make(dim, sigma=0.15 if dim == 2 else 0.08), self.points(dim)
+        model, points = make(dim), self.points(dim)
         found = model.conditions(scenes(dim), targets).potential(points)
         for scene, target, inside, values in zip(scenes(dim), targets, points, found, strict=True):
-            field = InformationPotentialField(scene.goals, model.config.sigma)
+            field = InformationPotentialField(scene.goals, 0.15 if dim == 2 else 0.08)
             world = Frame.of(scene, target).frame_to_world(inside.double().numpy())
             np.testing.assert_allclose(values, field.potential(world, target), rtol=1e-3, atol=2e-4)
 

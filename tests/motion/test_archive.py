@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from segments import distance_to_segment
 
 import legibility as lg
-from legibility.curves import arc_length, distance_to_segment, farthest_from_segment
+from legibility.curves import arc_length, farthest_from_segment
 from legibility.errors import InvalidInputError
 from legibility.intent.metrics import DEFAULT_ALPHA, SCORE_POINTS
 from legibility.motion.archive import DEFAULT_CELLS, Archive, CurveGrid, build_archive
 from legibility.motion.bezier import bending_energy, bezier_trajectories, straight_controls
-from legibility.scene import DEFAULT_SIGMA
 
 PAPER = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
 levels = st.floats(-1, 1)
@@ -36,9 +36,8 @@ def random_controls(rng, scene, num, target=0):
 @pytest.fixture(scope="module", params=[(2, "anchored"), (2, "rank"), (3, "anchored")], ids=str)
 def archive(request):
     dim, label = request.param
-    return build_archive(
-        random_scene(5, dim, 4), 1, seed=3, label=label, cells=20 if dim == 2 else 8
-    )
+    observer, cells = lg.Observer(label=label), 20 if dim == 2 else 8
+    return build_archive(random_scene(5, dim, 4), 1, seed=3, observer=observer, cells=cells)
 
 
 @pytest.fixture(scope="module", params=[(2, 24), (2, 7), (3, 8)], ids=str)
@@ -151,8 +150,9 @@ class TestElites:
         assert archive.trajectories.shape == (num, SCORE_POINTS, dim)
         assert archive.descriptors.shape == (num, dim)
         assert archive.energies.shape == archive.scores.shape == archive.labels.shape == (num,)
-        assert archive.field.sigma == DEFAULT_SIGMA[dim]
-        assert (archive.alpha, archive.target) == (DEFAULT_ALPHA, 1)
+        assert archive.field.sigma == {2: 0.15, 3: 0.08}[dim]
+        assert archive.field is archive.observer.field(archive.scene)
+        assert (archive.observer.alpha, archive.target) == (DEFAULT_ALPHA, 1)
 
     def test_they_run_from_start_to_goal_inside_the_workspace(self, archive):
         scene = archive.scene
@@ -188,7 +188,7 @@ class TestElites:
     def test_scores_are_legibility_scores(self, archive):
         np.testing.assert_array_equal(
             archive.scores,
-            lg.metrics.legibility_score(archive.trajectories, archive.field, 1, archive.alpha),
+            lg.metrics.legibility_score(archive.trajectories, archive.field, 1, DEFAULT_ALPHA),
         )
 
     def test_the_straight_line_is_one_of_them(self, archive):
@@ -217,7 +217,7 @@ class TestLabels:
     def test_are_the_label_functions(self, archive):
         expected = (
             lg.labels.rank_label(archive.scores)
-            if archive.label == "rank"
+            if archive.observer.label == "rank"
             else lg.labels.anchored_label(archive.scores, archive.straight_score)
         )
         np.testing.assert_array_equal(archive.labels, expected)
@@ -270,7 +270,7 @@ class TestLabels:
         assert found.label_of(found.straight_score) == 0
 
     def test_nearest_takes_the_smoothest_of_equals(self):
-        args = {"scene": PAPER, "target": 0, "field": None, "alpha": 3.0, "label": "rank"}
+        args = {"scene": PAPER, "target": 0, "observer": lg.Observer(label="rank")}
         size = {"straight_score": 0.0, "num_candidates": 3, "cells_reached": 3}
         curves = dict.fromkeys(["controls", "trajectories", "descriptors"], np.zeros((3, 1)))
         scores = {"scores": np.array([0.0, 0.0, 1.0]), "labels": np.array([-0.5, -0.5, 1.0])}
@@ -281,7 +281,10 @@ class TestLabels:
         assert found.nearest(0.2) == 1
 
     def test_rank_and_anchored_order_the_same_curves_alike(self):
-        one, other = (build_archive(PAPER, cells=16, label=name) for name in ("rank", "anchored"))
+        one, other = (
+            build_archive(PAPER, cells=16, observer=lg.Observer(label=label))
+            for label in ("rank", "anchored")
+        )
         np.testing.assert_array_equal(one.scores, other.scores)
         np.testing.assert_array_equal(np.argsort(one.labels), np.argsort(other.labels))
         assert (one.labels != other.labels).any()
@@ -319,8 +322,8 @@ class TestSettings:
         assert (np.diff(index) > 0).all()
         assert len(found) > 1000
 
-    def test_target_sigma_and_alpha_are_used(self):
-        found = build_archive(PAPER, 1, sigma=0.3, alpha=1.0, cells=8)
+    def test_target_and_observer_are_used(self):
+        found = build_archive(PAPER, 1, observer=lg.Observer(sigma=0.3, alpha=1.0), cells=8)
         np.testing.assert_array_equal(found.trajectories[:, -1] - PAPER.goals[1], 0)
         field = lg.InformationPotentialField(PAPER.goals, 0.3)
         np.testing.assert_array_equal(
@@ -362,7 +365,7 @@ class TestSettings:
         """A scene 1024 times as large has the same archive, 1024 times as large."""
         large = lg.Scene(PAPER.start * 1024, PAPER.goals * 1024, PAPER.workspace * 1024)
         one = build_archive(PAPER, cells=8)
-        other = build_archive(large, cells=8, sigma=0.15 * 1024)
+        other = build_archive(large, cells=8, observer=lg.Observer(sigma=0.15 * 1024))
         np.testing.assert_array_equal(other.trajectories, one.trajectories * 1024)
         np.testing.assert_allclose(other.scores, one.scores, rtol=1e-12)
         np.testing.assert_allclose(other.labels, one.labels, atol=1e-12)
@@ -374,15 +377,9 @@ class TestSettings:
             {"target": -1},
             {"target": 0.0},
             {"target": None},
-            {"label": "linear"},
-            {"label": None},
-            {"sigma": 0},
-            {"sigma": -0.1},
-            {"sigma": np.nan},
-            {"sigma": "wide"},
-            {"alpha": -1},
-            {"alpha": np.nan},
-            {"alpha": "fast"},
+            {"observer": None},
+            {"observer": "paper"},
+            {"observer": lg.Observer},
             {"cells": 0},
             {"cells": 1},
             {"cells": 8.0},
@@ -437,8 +434,11 @@ print(1 / (made + scored), best(yardstick))
 """
 
 
-def test_fifty_thousand_candidates_a_second_on_one_core():
-    """Generated, resampled and placed by `build_archive`, and each of them scored."""
+def test_candidates_cost_little_more_than_their_arithmetic():
+    """Generated, resampled and placed by `build_archive`, and each of them scored.
+
+    About 4700 of them take as long as a fixed piece of NumPy, on any machine and one core.
+    """
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     path = {"PYTHONPATH": str(next(iter(lg.__path__)).removesuffix("/legibility"))}
     run = subprocess.run(
@@ -446,14 +446,4 @@ def test_fifty_thousand_candidates_a_second_on_one_core():
     )
     assert run.returncode == 0, run.stderr
     rate, yardstick = map(float, run.stdout.split())
-    print(f"{rate:,.0f} candidates/s, yardstick {yardstick * 1e3:.0f} ms")
-    if rate < 50_000 and yardstick > YARDSTICK_LIMIT:
-        pytest.skip(
-            f"only {rate:,.0f} candidates/s, but NumPy itself is slow here: the yardstick took "
-            f"{yardstick * 1e3:.0f} ms, above {YARDSTICK_LIMIT * 1e3:.0f}"
-        )
-    assert rate >= 50_000
-
-
-YARDSTICK_LIMIT = 0.08
-"""[s] A machine on which the yardstick takes longer is too slow or too busy to be judged."""
+    assert rate * yardstick > 2000, f"{rate:,.0f} candidates/s, yardstick {yardstick * 1e3:.0f} ms"

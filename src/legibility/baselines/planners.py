@@ -39,12 +39,7 @@ def archive_path(archive: Archive, level: float) -> Path:
 
 @np.errstate(under="ignore")
 def search(
-    scene: Scene,
-    target: int,
-    level: float,
-    observer: Observer,
-    num_candidates: int,
-    seed: int,
+    scene: Scene, target: int, level: float, observer: Observer, num_candidates: int, seed: int
 ) -> Path:
     """The nearest to ℓ of random cubic Béziers in this scene.
 
@@ -55,7 +50,7 @@ def search(
         scene: any.
         target: index of the intended goal.
         level: ℓ in [−1, 1].
-        observer: who scores and labels them.
+        observer: scores and labels them.
         num_candidates: curves drawn.
         seed: of the curves.
     """
@@ -79,7 +74,7 @@ def candidates_within(milliseconds: float, scene: Scene, target: int, observer: 
 
     The largest power of √2 from 64 to 65,536 whose median time is not longer.
     """
-    found, size = _ENDS[0], float(_ENDS[0])
+    number, size = _ENDS[0], float(_ENDS[0])
     while size <= _ENDS[1]:
         times = []
         for seed in range(_REPEATS):
@@ -88,5 +83,5 @@ def candidates_within(milliseconds: float, scene: Scene, target: int, observer: 
             times.append(1e3 * (time.perf_counter() - start))
         if np.median(times) > milliseconds:
             break
-        found, size = round(size), size * np.sqrt(2)
-    return found
+        number, size = round(size), size * np.sqrt(2)
+    return number

@@ -1,6 +1,6 @@
 """The command `legibility`: one file a verb, which parses, calls and prints.
 
-A verb's file is imported only when it is asked for, so that help and mistakes are answered at once.
+A verb's file is imported only when it is called, so that help and errors appear at once.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from .output import ARGUMENTS
 __all__ = ["main"]
 
 _VERBS = {
-    "plan": "plan motions through a scene, one for each legibility asked",
-    "execute": "plan motions and execute them in the environment, side by side",
-    "score": "rate trajectories of a CSV file by every metric; no model is needed",
+    "plan": "plan motions through a scene, one for each level of legibility",
+    "execute": "plan motions and execute them in an environment",
+    "score": "rate the trajectories of a CSV file by every metric; no model is needed",
     "data": "make a dataset of labelled trajectories, or describe one",
     "train path": "train stage 1, the path diffuser",
-    "train distill": "make stage 1 fast: a student that draws in one step",
+    "train distill": "distill stage 1 into a student that samples in one step",
     "train policy": "train stage 2, the path-guided policy",
     "train diffusion-policy": "train a baseline that knows the goal alone",
-    "train legibility-diffuser": "train a baseline that is guided away from the other goals",
+    "train legibility-diffuser": "train a baseline that is guided away from the distractors",
     "evaluate dial": "measure achieved against asked legibility on held-out scenes",
     "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
@@ -35,14 +35,14 @@ _VERBS = {
     "evaluate ablations": "measure the worth of each part of stage 1 by small runs without it",
     "bench": "measure the speed of planning, control and training on this machine",
     "report": "render results as a page with pictures, and as model cards",
-    "doctor": "tell what is installed, what works here, and what to do about the rest",
+    "doctor": "check the installation and suggest remedies",
 }
 _GROUPS = {
     "train": "make the weights of a model from a dataset",
     "evaluate": "measure a model on held-out scenes",
 }
 _RESUMED = ("data", "train", "evaluate ablations")
-"""Verbs that go on where they were interrupted."""
+"""Verbs that resume after an interrupt."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,21 +51,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: without the command's own name; those of the process if not given.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    token = ARGUMENTS.set(given)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    token = ARGUMENTS.set(words)
     _prepare_process()
     try:
-        _run(list(map(_at_home, given)))
+        _run(list(map(_at_home, words)))
         sys.stdout.flush()
         return 0
     except BrokenPipeError:
-        # The reader has seen enough. What is still buffered would fail again at exit, uncaught.
+        # The reader has left. The rest of the buffer would fail again at exit, uncaught.
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         return 0
     except SystemExit as stop:  # of the parser: 0 after --help, 2 after a mistake
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt:
-        resumes = " ".join(given[:2]).startswith(_RESUMED)
+        resumes = " ".join(words[:2]).startswith(_RESUMED)
         return _fail("interrupted" + "; the same command resumes" * resumes, 130)
     except LegibilityError as error:
         return _fail(f"error: {error}", 2)
@@ -107,21 +107,21 @@ def _run(arguments: list[str]) -> None:
     from tyro.conf import OmitArgPrefixes
     from tyro.extras import subcommand_cli_from_dict
 
-    group = next(iter(arguments), None)
-    program, commands, rest = "legibility", {}, arguments
-    if group in _GROUPS:
-        program, rest = f"legibility {group}", arguments[1:]
+    group = arguments[0] if arguments and arguments[0] in _GROUPS else ""
+    if group:
+        arguments = arguments[1:]
         verbs = {n: s for n, s in _VERBS.items() if n.startswith(f"{group} ")}
     else:
         verbs = {n: s for n, s in _VERBS.items() if " " not in n} | _GROUPS
+    commands: dict[str, Callable[..., Any]] = {}
     for name, summary in verbs.items():
         word = name.split()[-1]
-        commands[word] = _load(name) if rest[:1] == [word] else _named(summary)
+        commands[word] = _load(name) if arguments[:1] == [word] else _stand_in(summary)
     subcommand_cli_from_dict(
         commands,
-        prog=program,
-        description=None if group in _GROUPS else _DESCRIPTION,
-        args=rest,
+        prog=f"legibility {group}".rstrip(),
+        description=f"{_GROUPS[group].capitalize()}." if group else _DESCRIPTION,
+        args=arguments,
         config=(OmitArgPrefixes,),
     )
 
@@ -129,17 +129,17 @@ def _run(arguments: list[str]) -> None:
 _DESCRIPTION = """\
 Robot motion with a dial for legibility, from most ambiguous (−1) to most legible (1).
 
-For a verb's own help give VERB --help, for the version --version."""
+Call a verb with --help for its options, or legibility --version."""
 
 
 def _load(name: str) -> Callable[..., Any]:
     """The function of a verb: `plan` of cli/plan.py, `path` of cli/train.py for "train path"."""
     module, *words = name.replace("-", "_").split()
-    return getattr(importlib.import_module(f".{module}", __name__), words[0] if words else module)
+    return getattr(importlib.import_module(f".{module}", __name__), (words or [module])[0])
 
 
-def _named(summary: str) -> Callable[[], None]:
-    """Stands for a verb that was not asked for in the list of verbs."""
+def _stand_in(summary: str) -> Callable[[], None]:
+    """A verb that is listed but not called."""
 
     def verb() -> None: ...
 

@@ -13,11 +13,9 @@ from ..report.bench import bench_section
 from .options import MODELS, OutputFile, flags, made
 from .output import check_file, model_record, progress_bar, show, write_report
 
-_Bench = flags(BenchConfig)
-
 
 def bench(
-    measured: Annotated[Any, arg(constructor=_Bench)],
+    measured: Annotated[Any, arg(constructor=flags(BenchConfig))],
     model: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = tuple(MODELS.values()),
     json: OutputFile = None,
 ) -> None:
@@ -27,7 +25,7 @@ def bench(
 
     Args:
         measured: sizes and durations.
-        model: names of weights that came with the package, or folders.
+        model: names of shipped weights, or folders.
         json: all measurements as JSON.
     """
     settings = made(BenchConfig, measured)

@@ -102,7 +102,7 @@ def _make(
 
 
 def _draw(dataset: Dataset, figure: Path) -> None:
-    from ..figures.archive import archive_figure
+    from ..figures.plan import archive_figure
 
     config = dataset.config
     archive = config.source.archive(0, config.observer, config.cells)

@@ -5,94 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from ..evaluation.configuration import (
-    AblationsConfig,
-    DialConfig,
-    ExecutionConfig,
-    SpectrumConfig,
-    Table1Config,
-    UnseenConfig,
-)
+from ..evaluation import configuration
+from . import output
 from .options import MODEL, MODELS, OptionalText, OutputFile, Workers, flags, made
-from .output import (
-    check_figure,
-    check_file,
-    check_folder,
-    model_record,
-    progress_bar,
-    show,
-    write_report,
-)
+from .report import result_figure
 
-if TYPE_CHECKING:
-    from ..report.table import Part
-
-_Dial = flags(DialConfig)
-_Execution = flags(ExecutionConfig)
-_Table1 = flags(Table1Config)
-_Unseen = flags(UnseenConfig)
-_Spectrum = flags(SpectrumConfig)
-_Ablations = flags(AblationsConfig)
-
-Model = Annotated[str, arg(help="name of shipped weights, or a folder")]
-RobotModel = Annotated[
-    OptionalText,
-    arg(help="name of shipped weights, or a folder; those of the environment if not given"),
+_Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
+_Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig))]
+_Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
+_Unseen = Annotated[Any, arg(constructor=flags(configuration.UnseenConfig))]
+_Spectrum = Annotated[Any, arg(constructor=flags(configuration.SpectrumConfig))]
+_Ablations = Annotated[Any, arg(constructor=flags(configuration.AblationsConfig))]
+_Model = Annotated[str, arg(help="name of shipped weights, or a folder")]
+_Json = Annotated[
+    OutputFile, arg(help="the result with its command, seed, settings and weights, as JSON")
 ]
-
-
-@dataclass(frozen=True)
-class Report:
-    """Output files.
-
-    Attributes:
-        json: the result with its command, seed, settings and weights, as JSON.
-    """
-
-    json: OutputFile = None
-
-    def __post_init__(self) -> None:
-        check_file(self.json, "JSON file")
-
-    def write(
-        self,
-        section: Callable[[dict[str, Any]], list[Part]],
-        settings: Any,
-        result: dict[str, Any],
-        model: dict[str, str],
-        baselines: list[dict[str, str]] | None = None,
-    ) -> None:
-        """Write the JSON file, if any, and print the `section` of the result."""
-        document: dict[str, Any] = {
-            "seed": settings.seed, "config": asdict(settings), "result": result
-        }  # fmt: skip
-        write_report(self.json, model=model, baselines=baselines, **document)
-        show(*section(document))
-
-
-@dataclass(frozen=True)
-class DrawnReport(Report):
-    """Output files.
-
-    Attributes:
-        json: the result with its command, seed, settings and weights, as JSON.
-        figure: a picture of the result, .png, .pdf or .svg.
-    """
-
-    figure: OutputFile = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_figure(self.figure)
+_Figure = Annotated[OutputFile, arg(help="a picture of the result, .png, .pdf or .svg")]
 
 
 @dataclass(frozen=True)
 class Contestants:
-    """Weights, each a name or a folder; those of the environment's dimension if not given.
+    """Weights, each a name or a folder; if not given, those of the environment's dimension.
 
     Attributes:
         model: the modulator.
@@ -106,32 +43,21 @@ class Contestants:
 
 
 def dial(
-    evaluation: Annotated[Any, arg(constructor=_Dial)],
+    evaluation: _Dial,
     workers: Workers,
-    output: DrawnReport,
-    model: Model = MODEL,
+    model: _Model = MODEL,
+    json: _Json = None,
+    figure: _Figure = None,
 ) -> None:
     """Measure achieved against asked legibility on held-out scenes."""
-    settings = made(DialConfig, evaluation)
+    settings = _checked(configuration.DialConfig, evaluation, json, figure)
     from ..evaluation.dial import evaluate_dial
-    from ..modulator import Modulator
-    from ..report.dial import dial_section
 
-    modulator, used = Modulator.from_pretrained(model), model_record(model)
-    with progress_bar("scenes") as progress:
-        result = evaluate_dial(modulator, settings, **vars(workers), progress=progress)
-    output.write(dial_section, settings, result, used)
-    if output.figure is not None:
-        from ..figures.dial import dial_figure
-
-        dial_figure(result, output.figure)
+    _measure("dial", evaluate_dial, settings, model, json, figure, **vars(workers))
 
 
 def execution(
-    evaluation: Annotated[Any, arg(constructor=_Execution)],
-    workers: Workers,
-    output: Report,
-    model: Model = MODEL,
+    evaluation: _Execution, workers: Workers, model: _Model = MODEL, json: _Json = None
 ) -> None:
     """Measure executed motions: success, dial, deviation and safety, and the value of stage 2.
 
@@ -139,22 +65,14 @@ def execution(
     path's displacements in open loop, and the feedback controller of the demonstrations. All share
     scenes, plans and hidden gains.
     """
-    settings = made(ExecutionConfig, evaluation)
+    settings = _checked(configuration.ExecutionConfig, evaluation, json)
     from ..evaluation.execution import evaluate_execution
-    from ..modulator import Modulator
-    from ..report.execution import execution_section
 
-    modulator, used = Modulator.from_pretrained(model), model_record(model)
-    with progress_bar("rollouts") as progress:
-        result = evaluate_execution(modulator, settings, **vars(workers), progress=progress)
-    output.write(execution_section, settings, result, used)
+    _measure("execution", evaluate_execution, settings, model, json, **vars(workers))
 
 
 def table1(
-    evaluation: Annotated[Any, arg(constructor=_Table1)],
-    workers: Workers,
-    contestants: Contestants,
-    output: Report,
+    evaluation: _Table1, workers: Workers, contestants: Contestants, json: _Json = None
 ) -> None:
     """The paper's Table I: the most legible motions of every method, executed, with statistics.
 
@@ -162,98 +80,123 @@ def table1(
     compared with Diffusion Policy, Legibility Diffuser, the straight line, random search in the
     same and in ten times the time, and the archive's most legible trajectory.
     """
-    settings = made(Table1Config, evaluation)
+    settings = _checked(configuration.Table1Config, evaluation, json)
     from ..evaluation.table1 import evaluate_table1
-    from ..report.comparison import table1_section
 
-    _compare(evaluate_table1, table1_section, settings, workers, contestants, output)
+    _compare("table1", evaluate_table1, settings, workers, contestants, json)
 
 
 def unseen(
-    evaluation: Annotated[Any, arg(constructor=_Unseen)],
-    workers: Workers,
-    contestants: Contestants,
-    output: Report,
+    evaluation: _Unseen, workers: Workers, contestants: Contestants, json: _Json = None
 ) -> None:
     """The methods of table1 on held-out scenes, relative to each scene's oracle."""
-    settings = made(UnseenConfig, evaluation)
+    settings = _checked(configuration.UnseenConfig, evaluation, json)
     from ..evaluation.unseen import evaluate_unseen
-    from ..report.comparison import unseen_section
 
-    _compare(evaluate_unseen, unseen_section, settings, workers, contestants, output)
-
-
-def _compare(
-    evaluate: Callable[..., dict[str, Any]],
-    section: Callable[[dict[str, Any]], list[Part]],
-    settings: Table1Config | UnseenConfig,
-    workers: Workers,
-    contestants: Contestants,
-    output: Report,
-) -> None:
-    from ..baselines.pretrained import baseline_names, load_baselines
-    from ..envs import environment_dim
-    from ..modulator import Modulator
-
-    dim = environment_dim(settings.env)
-    names = baseline_names(dim)
-    for method in names:
-        names[method] = getattr(contestants, method.replace(" ", "_")) or names[method]
-    policies = load_baselines(names)
-    name = contestants.model or MODELS[dim]
-    modulator, used = Modulator.from_pretrained(name), model_record(name)
-    with progress_bar("rollouts") as progress:
-        result = evaluate(modulator, policies, settings, **vars(workers), progress=progress)
-    output.write(section, settings, result, used, list(map(model_record, names.values())))
+    _compare("unseen", evaluate_unseen, settings, workers, contestants, json)
 
 
 def spectrum(
-    evaluation: Annotated[Any, arg(constructor=_Spectrum)],
-    output: DrawnReport,
-    model: RobotModel = None,
+    evaluation: _Spectrum,
+    model: Annotated[
+        OptionalText,
+        arg(help="name of shipped weights, or a folder; if not given, those of the environment"),
+    ] = None,
+    json: _Json = None,
+    figure: _Figure = None,
 ) -> None:
     """The paper's figure 3: executed motions over the whole dial in the scene of Table I."""
-    settings = made(SpectrumConfig, evaluation)
-    from ..envs import environment_dim
-    from ..evaluation.spectrum import Spectrum, evaluate_spectrum
-    from ..modulator import Modulator
-    from ..report.comparison import spectrum_section
+    settings = _checked(configuration.SpectrumConfig, evaluation, json, figure)
+    from ..evaluation.spectrum import evaluate_spectrum
 
-    name = model or MODELS[environment_dim(settings.env)]
-    modulator, used = Modulator.from_pretrained(name), model_record(name)
-    with progress_bar("rollouts") as progress:
-        result = evaluate_spectrum(modulator, settings, progress=progress)
-    output.write(spectrum_section, settings, result, used)
-    if output.figure is not None:
-        from ..figures.spectrum import spectrum_figure
-
-        spectra = [Spectrum.of_result(result, letter) for letter in result["targets"]]
-        spectrum_figure(spectra, output.figure)
+    _measure("spectrum", evaluate_spectrum, settings, model, json, figure)
 
 
 def ablations(
-    evaluation: Annotated[Any, arg(constructor=_Ablations)],
+    evaluation: _Ablations,
     data: Annotated[Path, arg(metavar="DIR", help="dataset; small runs use its first scenes")],
     out: Annotated[Path, arg(metavar="DIR", help="folder of the small runs and measured rows")],
-    output: Report,
-    model: Model = MODEL,
+    model: _Model = MODEL,
     workers: Annotated[int, arg(help="processes that make data")] = 1,
     device: Annotated[OptionalText, arg(help="cpu or cuda; if not given, a GPU if any")] = None,
+    json: _Json = None,
 ) -> None:
     """Measure the dial of the weights under other samplers, and of small runs that lack a part.
 
     Small runs are trained in OUT: the reference, without the field, on rank labels, and on other
     numbers of scenes. Interrupted, the same command resumes.
     """
-    settings = made(AblationsConfig, evaluation)
-    check_folder(out, "small runs")
+    settings = _checked(configuration.AblationsConfig, evaluation, json)
+    output.check_folder(out, "small runs")
     from ..data.dataset import Dataset
     from ..evaluation.ablations import evaluate_ablations
-    from ..report.dial import ablations_section
 
-    used, dataset = model_record(model), Dataset.load(data)
-    with progress_bar("scenes and training steps") as progress:
+    used, dataset = output.model_record(model), Dataset.load(data)
+    with output.progress_bar("scenes and training steps") as progress:
         result = evaluate_ablations(
             model, dataset, out, settings, workers=workers, device=device, progress=progress
         )
-    output.write(ablations_section, settings, result, used)
+    _write("ablations", settings, result, json, model=used)
+
+
+def _checked(settings: type[Any], flags: Any, json: Path | None, figure: Path | None = None) -> Any:
+    """The settings, once they and the output files are checked."""
+    output.check_figure(figure)
+    output.check_file(json, "JSON file")
+    return made(settings, flags)
+
+
+def _compare(
+    kind: str,
+    evaluate: Callable[..., dict[str, Any]],
+    settings: configuration.Table1Config | configuration.UnseenConfig,
+    workers: Workers,
+    contestants: Contestants,
+    json: Path | None,
+) -> None:
+    """Evaluate the modulator and the baselines."""
+    from ..baselines.pretrained import baseline_names, load_baselines
+    from ..envs import environment_dim
+
+    names = {
+        method: getattr(contestants, method.replace(" ", "_")) or shipped
+        for method, shipped in baseline_names(environment_dim(settings.env)).items()
+    }
+    policies = load_baselines(names)
+    records = [output.model_record(name) for name in names.values()]
+    options = {"baselines": records, "policies": policies, **vars(workers)}
+    _measure(kind, evaluate, settings, contestants.model, json, **options)
+
+
+def _measure(
+    kind: str,
+    evaluate: Callable[..., dict[str, Any]],
+    settings: Any,
+    model: str | None,
+    json: Path | None,
+    figure: Path | None = None,
+    baselines: list[dict[str, str]] | None = None,
+    **options: Any,
+) -> None:
+    """Evaluate a model under a progress bar; write, print and draw the result."""
+    from ..envs import environment_dim
+    from ..modulator import Modulator
+
+    name = model or MODELS[environment_dim(settings.env)]
+    modulator, used = Modulator.from_pretrained(name), output.model_record(name)
+    with output.progress_bar("scenes" if kind == "dial" else "rollouts") as progress:
+        result = evaluate(modulator, config=settings, **options, progress=progress)
+    _write(kind, settings, result, json, model=used, baselines=baselines)
+    if figure is not None:
+        result_figure(kind, result, figure)
+
+
+def _write(
+    kind: str, settings: Any, result: dict[str, Any], json: Path | None, **weights: Any
+) -> None:
+    """Write and print a result of a kind that the report knows."""
+    from ..report.results import KINDS
+
+    document = {"seed": settings.seed, "config": asdict(settings), "result": result}
+    output.write_report(json, **document, **weights)
+    output.show(*KINDS[kind].section(document))

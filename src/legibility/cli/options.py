@@ -1,4 +1,4 @@
-"""What verbs read from the command line beyond tyro's own types."""
+"""Arguments that verbs share, beyond tyro's own types."""
 
 from __future__ import annotations
 
@@ -12,31 +12,11 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..checks import Array, legibility_levels
+from ..checks import Array, legibility_levels, random_seed, target_index
 from ..errors import InvalidInputError
 from ..scene import Scene
 
-__all__ = [
-    "MODEL",
-    "MODELS",
-    "Folder",
-    "OptionalFloat",
-    "OptionalInt",
-    "OptionalText",
-    "OutputFile",
-    "SceneFile",
-    "Where",
-    "Workers",
-    "flags",
-    "levels",
-    "made",
-    "model_of",
-    "span",
-]
-
 MODEL = "block-reach-2d"
-"""The model that is evaluated if none is given."""
-
 MODELS = {2: MODEL, 3: "panda-block-reach"}
 """The modulator's weights by dimension."""
 
@@ -45,24 +25,27 @@ OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
 OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")]
-
 OptionalText = Annotated[str | None, arg(metavar="STR", help_behavior_hint="")]
 
-_OPTIONAL: dict[Any, Any] = {
-    int | None: OptionalInt, float | None: OptionalFloat, str | None: OptionalText
-}  # fmt: skip
+_FLAG_TYPES: dict[Any, Any] = {
+    int | None: OptionalInt,
+    float | None: OptionalFloat,
+    str | None: OptionalText,
+    tuple[int, int]: Annotated[str, arg(metavar="LOW..HIGH")],
+}
+"""Types of flags by the types of settings, where they differ."""
 
 Settings = TypeVar("Settings")
 
 
 @dataclasses.dataclass(frozen=True)
 class Workers:
-    """Who does the work; what comes of it is the same for any number of workers.
+    """Processes that do the work; the result is the same for any number of them.
 
     Attributes:
         workers: processes on this machine.
-        cluster: address of a Dask scheduler, tcp://HOST:PORT, whose workers work instead; or local,
-            a Dask cluster of --workers processes on this machine.
+        cluster: tcp://HOST:PORT, a Dask scheduler whose workers do the work instead; or local, a
+            Dask cluster of --workers processes on this machine.
     """
 
     workers: int = 1
@@ -71,99 +54,112 @@ class Workers:
 
 @dataclasses.dataclass(frozen=True)
 class Where:
-    """Where a network is trained, and how exactly.
+    """Device and precision of a training.
 
     Attributes:
         device: cpu or cuda; if not given, a GPU where there is one.
-        precision: of the network's products, no (float32), bf16 or fp16; if not given, what
-            `accelerate launch` was told, or no.
+        precision: of the network's products, no (float32), bf16 or fp16; if not given, that of
+            `accelerate launch`, or no.
     """
 
     device: OptionalText = None
     precision: OptionalText = None
 
 
+@dataclasses.dataclass(frozen=True)
+class Motions:
+    """Motions to plan.
+
+    Attributes:
+        scene: a file, .yaml or .json, with the keys start and goals, and optionally workspace.
+        target: index of the intended goal, from 0.
+        legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 gives nine equal steps.
+        model: name of shipped weights, or a folder; if not given, those of the scene's dimension.
+        seed: of every random draw, of paths and in execution.
+        candidates: paths drawn for each level; the one nearest to the level is kept.
+    """
+
+    scene: SceneFile
+    target: int = 0
+    legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1")
+    model: OptionalText = None
+    seed: int = 0
+    candidates: int = 1
+
+    def read(self) -> tuple[Scene, Array, str]:
+        """The scene, the levels `(B,)` and the weights, once all arguments are checked."""
+        asked = levels(self.legibility)
+        random_seed("seed", self.seed)
+        scene = Scene.load(self.scene)
+        target_index(self.target, scene.num_goals)
+        return scene, asked, self.model or MODELS[scene.dim]
+
+
 def levels(entries: Sequence[str]) -> Array:
-    """Levels of legibility: each entry a number or LOW:HIGH:COUNT, which means equal steps."""
+    """Levels of legibility; an entry is a number or LOW:HIGH:COUNT, equal steps."""
     values: list[float] = []
     for entry in entries:
-        parts = entry.split(":")
         try:
-            if len(parts) == 1:
-                values.append(float(entry))
-                continue
-            low, high, steps = float(parts[0]), float(parts[1]), int(parts[2])
-            if len(parts) > 3 or not 1 <= steps <= 100_000:
+            first, *rest = entry.split(":")
+            last, steps = rest or (first, "1")
+            if not 1 <= int(steps) <= 100_000:
                 raise ValueError
-        except (ValueError, IndexError):
+            ends = float(first), float(last)
+        except ValueError:
             raise InvalidInputError(
                 f"legibility must be numbers or LOW:HIGH:COUNT, got {entry!r}"
             ) from None
-        legibility_levels([low, high])
-        values += np.round(np.linspace(low, high, steps), 12).tolist()
+        low, high = legibility_levels(ends)
+        values += np.round(np.linspace(low, high, int(steps)), 12).tolist()
     if not values:
         raise InvalidInputError("legibility must be at least one number, got none")
-    return legibility_levels(values) + 0.0  # −0 becomes 0
-
-
-def model_of(name: str | None, scene: Scene) -> str:
-    """The model that is asked for, or that of the scene's dimension."""
-    return MODELS[scene.dim] if name is None else name
+    return np.array(values) + 0.0  # −0 becomes 0
 
 
 def span(name: str, text: str) -> tuple[int, int]:
     """A range of whole numbers: `LOW..HIGH`, or one number for both."""
-    found = re.fullmatch(r"([0-9]{1,9})(?:\.\.([0-9]{1,9}))?", text.strip(), re.ASCII)
-    if found is None:
+    match = re.fullmatch(r"([0-9]{1,9})(?:\.\.([0-9]{1,9}))?", text.strip(), re.ASCII)
+    if match is None:
         raise InvalidInputError(f"{name} must be a number or LOW..HIGH, got {text!r}")
-    low, high = int(found[1]), int(found[2] or found[1])
+    low, high = int(match[1]), int(match[2] or match[1])
     if low > high:
         raise InvalidInputError(f"{name} must rise from LOW to HIGH, got {text!r}")
     return low, high
 
 
 def flags(settings: type, *omitted: str, **defaults: Any) -> Any:
-    """The fields of a dataclass as flags, with its docstring as their help.
+    """The fields of a dataclass but the `omitted` ones as flags, with its docstring as their help.
 
-    Those of `omitted` are left out; `defaults` are other defaults than its own.
-
-    The flags are not checked yet, so that what is wrong with them is told by `made` in the
-    dataclass's own words. A range is a text, see `span`.
+    `defaults` replace its own. Flags are not checked; `made` does that, so that errors are those of
+    the dataclass. A range is a text, see `span`.
     """
     types = get_type_hints(settings)
     fields: list[Any] = []
     for field in dataclasses.fields(settings):
-        if field.name in omitted:
-            continue
-        kind: Any = types[field.name]
         default: Any = defaults.get(field.name, field.default)
-        if kind == tuple[int, int]:
-            low, high = default
-            kind = Annotated[str, arg(metavar="LOW..HIGH")]
-            default = f"{low}..{high}"
-        elif kind in _OPTIONAL:
-            kind = _OPTIONAL[kind]
-        fields.append((field.name, kind, dataclasses.field(default=default)))
-    return dataclasses.make_dataclass(
-        settings.__name__, fields, kw_only=True, namespace={"__doc__": _documentation(settings)}
-    )
+        if types[field.name] == tuple[int, int]:
+            default = "..".join(map(str, default))
+        if field.name not in omitted:
+            flag = _FLAG_TYPES.get(types[field.name], types[field.name])
+            fields.append((field.name, flag, dataclasses.field(default=default)))
+    namespace = {"__doc__": _documentation(settings)}
+    return dataclasses.make_dataclass(settings.__name__, fields, kw_only=True, namespace=namespace)
 
 
 def _documentation(settings: type) -> str:
-    """The docstring of a dataclass, with what its bases say of the fields that it inherits."""
+    """The docstring of a dataclass, with the attributes of its bases."""
     text = inspect.cleandoc(settings.__doc__ or "")
     for base in settings.__mro__[1:]:
         if dataclasses.is_dataclass(base):
-            _, _, inherited = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
-            text += "\n" + inherited
+            text += "\n" + inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]
     return text
 
 
-def made(settings: type[Settings], given: Any, **rest: Any) -> Settings:
-    """The dataclass that `given`, the parsed `flags` of it, stand for."""
+def made(settings: type[Settings], parsed: Any, **rest: Any) -> Settings:
+    """The dataclass `settings` of its `parsed` flags and the `rest` of its fields."""
     types = get_type_hints(settings)
     values: dict[str, Any] = {
         name: span(name, value) if types[name] == tuple[int, int] else value
-        for name, value in vars(given).items()
+        for name, value in vars(parsed).items()
     }
     return settings(**values, **rest)

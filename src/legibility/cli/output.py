@@ -1,4 +1,4 @@
-"""What verbs write and print: the JSON envelope, checks of output files, tables and progress."""
+"""Output of the verbs: the JSON envelope, checks of output files, tables and progress."""
 
 from __future__ import annotations
 
@@ -20,25 +20,12 @@ from rich.text import Text
 
 from ..errors import CheckpointError, OutputError
 from ..files import file_hash, write_json
-from ..report.table import Table, number, significant
-
-__all__ = [
-    "ARGUMENTS",
-    "check_figure",
-    "check_file",
-    "check_folder",
-    "model_record",
-    "note",
-    "number",
-    "progress_bar",
-    "show",
-    "significant",
-    "table",
-    "write_report",
-]
+from ..report.table import Table
+from ..report.table import number as number
+from ..report.table import significant as significant
 
 ARGUMENTS: ContextVar[Sequence[str]] = ContextVar("ARGUMENTS", default=())
-"""What the command was called with, which every report repeats."""
+"""The command's arguments, which every report repeats."""
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
@@ -46,8 +33,7 @@ _PATIENCE = 2.0
 """Work shorter than this [s] shows no progress bar."""
 
 _LEAST_INTERVAL, _MOST_INTERVAL = 5.0, 30.0
-"""Off a terminal a line of progress is printed after a tenth of the work and this least time [s],
-and after the other at the latest."""
+"""Bounds of the time [s] between two lines of progress off a terminal."""
 
 
 def check_file(path: Path | None, what: str) -> None:
@@ -69,7 +55,7 @@ def check_figure(path: Path | None) -> None:
 
 
 def check_folder(path: Path, what: str) -> None:
-    """Raise if `path` is no folder that can be made and written to; nothing is left there."""
+    """Raise unless `path` is a folder that can be made and written to; leave nothing there."""
     existing = path.absolute()
     while not os.path.lexists(existing):
         existing = existing.parent
@@ -83,7 +69,7 @@ def check_folder(path: Path, what: str) -> None:
 
 
 def model_record(name_or_folder: str) -> dict[str, str]:
-    """Which weights were used: the name that was given and the hash of each stage's file."""
+    """The name of the weights and the hash of each stage's file."""
     from ..models.pretrained import pretrained_folder
 
     folder = pretrained_folder(name_or_folder)
@@ -103,7 +89,7 @@ def write_report(
     model: dict[str, str] | None = None,
     baselines: list[dict[str, str]] | None = None,
 ) -> None:
-    """Write what was computed, and what it takes to compute it again, to a JSON `file`, if any."""
+    """Write a result, with all that is needed to reproduce it, to a JSON `file`, if any."""
     from .. import __version__
 
     if file is None:
@@ -121,7 +107,7 @@ def write_report(
 
 
 def _plain(value: Any) -> Any:
-    """`value` with lists for arrays and None for what JSON has no number for."""
+    """`value` with lists for arrays and None for numbers that JSON cannot express."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -140,42 +126,25 @@ def table(title: str, *columns: str, text_columns: int = 0) -> Table:
 
 def show(*items: Table | str) -> None:
     """Print tables and lines to the standard output, as text and not as markup."""
-    console = _console(sys.stdout)
+    console = _Console(sys.stdout)
     for item in items:
         console.print(Text(item) if isinstance(item, str) else item.rich())
 
 
 def note(line: str) -> None:
     """Print a line for the reader, not for the next program in a pipe."""
-    _console(sys.stderr).print(Text(f"legibility: {line}"))
+    _Console(sys.stderr).print(Text(f"legibility: {line}"))
 
 
 class _Console(Console):
+    def __init__(self, file: Any) -> None:
+        is_file = not file.isatty()  # or a pipe, where a table may be as wide as it needs to be
+        width = 200 if is_file else None
+        super().__init__(file=file, width=width, highlight=False, emoji=False, soft_wrap=is_file)
+
     def on_broken_pipe(self) -> None:
         """Leave it to `main`; rich would exit with status 1."""
         raise BrokenPipeError
-
-
-def _console(file: Any) -> Console:
-    # In a file or a pipe a table may be as wide as it needs to be.
-    width = None if file.isatty() else 200
-    return _Console(
-        file=file, width=width, highlight=False, emoji=False, soft_wrap=not file.isatty()
-    )
-
-
-class _ProgressLines:
-    """Progress for a log file or a pipe: a line now and then, and none of quick work."""
-
-    def __init__(self, title: str) -> None:
-        self.title, self.tenths, self.time = title, 0, time.monotonic()
-
-    def update(self, done: int, total: int) -> None:
-        """Print a line if enough was done, or enough time has passed, since the last one."""
-        tenths, waited = 10 * done // max(total, 1), time.monotonic() - self.time
-        if waited > (_LEAST_INTERVAL if tenths != self.tenths else _MOST_INTERVAL):
-            note(f"{self.title} {done} of {total}")
-            self.tenths, self.time = tenths, time.monotonic()
 
 
 @contextlib.contextmanager
@@ -185,36 +154,35 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     Off a terminal it prints a line after every tenth of the work or 30 s instead. `line` is a
     message that stays, above the bar or in a log file.
     """
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-    console = _console(sys.stderr)
-    started = time.monotonic()
-    lines = _ProgressLines(title)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    bar = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
+    console = _Console(sys.stderr)
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
+    bar = Progress(*columns, console=console)
     task = bar.add_task(title, total=None)
+    tenths, noted = 0, time.monotonic()
+    patient_until = noted + _PATIENCE
 
     def progress(done: int, total: int, line: str = "") -> None:
+        nonlocal tenths, noted
+        now, reached = time.monotonic(), 10 * done // max(total, 1)
         bar.update(task, completed=done, total=total)
-        late = time.monotonic() - started > _PATIENCE
-        if late and console.is_terminal and not bar.live.is_started and done < total:
-            bar.start()
-        if done >= total and bar.live.is_started:
-            bar.stop()  # another one may follow
         if not console.is_terminal:
-            lines.update(done, total)
+            if now - noted > (_LEAST_INTERVAL if reached != tenths else _MOST_INTERVAL):
+                note(f"{title} {done} of {total}")
+                tenths, noted = reached, now
+        elif done >= total:
+            stop()  # another bar may follow
+        elif now > patient_until:
+            bar.start()
         if line:
-            bar.console.print(Text(line))
+            console.print(Text(line))
+
+    def stop() -> None:
+        if bar.live.is_started:
+            bar.stop()
 
     try:
         yield progress
     finally:
-        if bar.live.is_started:
-            bar.stop()
+        stop()

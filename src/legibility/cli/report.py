@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,10 +28,11 @@ def report(
 
     Args:
         results: folder of the JSON files.
-        out: the page; docs/results.md beside DIR if not given.
+        out: the page; if not given, docs/results.md beside DIR.
         weights: a folder with a subfolder for each model, each of which gets its model card.
         tables: a folder for each table as LaTeX and CSV, and the pictures as PDF.
     """
+    from ..files import write_bytes
     from ..report.card import render_card
     from ..report.results import (
         KINDS,
@@ -50,52 +50,38 @@ def report(
     pictures = os.path.relpath(results.absolute(), page.absolute().parent)
     texts = {page: render_page(contents, Path(pictures).as_posix())}
     for file in sorted(weights.glob("*/config.json")) if weights else []:
-        name = file.parent.name
-        texts[file.with_name("README.md")] = render_card(name, read_json(file), contents)
-    drawings: list[tuple[Callable[..., None], Any, Path]] = []
-    for kind in KINDS:
-        for name, document in contents.get(kind, {}).items():
-            stem, number = f"{kind}-{name}", 0
-            with well_formed(f"{stem}.json is not a result of the kind {kind}"):
-                pictures_of = _pictures(kind, document["result"])
-            for draw, content in pictures_of:
-                drawings.append((draw, content, results / f"{stem}.png"))
-                if tables:
-                    drawings.append((draw, content, tables / f"{stem}.pdf"))
-            for part in section_of(kind, name, document) if tables else []:
-                if tables and isinstance(part, Table):
-                    number += 1
-                    texts[tables / f"{stem}-{number}.tex"] = part.latex(document["command"])
-                    texts[tables / f"{stem}-{number}.csv"] = part.csv()
-    _write(texts, drawings)
-
-
-def _pictures(kind: str, result: dict[str, Any]) -> list[tuple[Callable[..., None], Any]]:
-    """The functions that draw the pictures of a result, and what they draw."""
-    if kind in ("dial", "closed-loop"):
-        from ..figures.dial import dial_figure
-
-        return [(dial_figure, result)]
-    if kind == "spectrum":
-        from ..evaluation.spectrum import Spectrum
-        from ..figures.spectrum import spectrum_figure
-
-        spectra = [Spectrum.of_result(result, letter) for letter in result["targets"]]
-        return [(spectrum_figure, spectra)]
-    return []
-
-
-def _write(texts: dict[Path, str], drawings: list[tuple[Callable[..., None], Any, Path]]) -> None:
-    """Write texts first, then pictures, which may fail."""
-    from ..files import write_bytes
-    from ..report.results import well_formed
-
+        card = render_card(file.parent.name, read_json(file), contents)
+        texts[file.with_name("README.md")] = card
+    drawings: list[tuple[str, dict[str, Any], Path]] = []
+    for kind, name in [(k, name) for k in KINDS for name in contents.get(k, {})]:
+        document, stem = contents[kind][name], f"{kind}-{name}"
+        if KINDS[kind].picture:
+            files = [results / f"{stem}.png", *([tables / f"{stem}.pdf"] if tables else [])]
+            drawings += [(kind, document["result"], file) for file in files]
+        if tables:
+            parts = [p for p in section_of(kind, name, document) if isinstance(p, Table)]
+            for number, part in enumerate(parts, start=1):
+                texts[tables / f"{stem}-{number}.tex"] = part.latex(document["command"])
+                texts[tables / f"{stem}-{number}.csv"] = part.csv()
     for folder in {file.parent for file in texts}:
         check_folder(folder, "report")
     for file, text in texts.items():
         write_bytes(file, text.encode())
         show(str(file))
-    for draw, content, file in drawings:
+    for kind, result, file in drawings:
         with well_formed(f"cannot draw {file}"):
-            draw(content, file)
+            result_figure(kind, result, file)
         show(str(file))
+
+
+def result_figure(kind: str, result: dict[str, Any], file: Path) -> None:
+    """Draw the picture of a result of a dial or spectrum."""
+    if kind == "spectrum":
+        from ..evaluation.spectrum import Spectrum
+        from ..figures.spectrum import spectrum_figure
+
+        spectrum_figure([Spectrum.of_result(result, target) for target in result["targets"]], file)
+    else:
+        from ..figures.dial import dial_figure
+
+        dial_figure(result, file)

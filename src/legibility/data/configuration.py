@@ -54,6 +54,10 @@ class DatasetConfig:
             )
         _ = self.source
         object.__setattr__(self, "goals", tuple(self.goals))
+        if not isinstance(self.observer, Observer):
+            raise InvalidInputError(
+                f"observer must be a legibility.Observer, got {self.observer!r}"
+            )
         object.__setattr__(self, "observer", self.observer.resolved(self.dim))
         if count("cells", self.cells, low=0) == 0:
             object.__setattr__(self, "cells", DEFAULT_CELLS[self.dim])
@@ -77,8 +81,11 @@ class DatasetConfig:
                 f"dataset settings missing or unknown: "
                 f"{sorted(set(content) ^ {f.name for f in fields(cls)})}"
             )
-        observer = Observer(**content["observer"])
-        return cls(**{**content, "goals": tuple(content["goals"]), "observer": observer})
+        try:
+            goals, observer = tuple(content["goals"]), Observer(**content["observer"])
+        except TypeError as cause:
+            raise DatasetError(f"goals or observer of a dataset are not ours: {cause}") from cause
+        return cls(**{**content, "goals": goals, "observer": observer})
 
     def for_validation(self) -> DatasetConfig:
         """The same settings for 128 scenes of the validation stream."""

@@ -64,9 +64,9 @@ def vector_type(name: str | None, dim: int) -> type[BlockReachVector]:
         MissingExtraError: its simulator is not installed.
     """
     name = DEFAULT_ENVIRONMENT[dim] if name is None else name
-    if environment_dim(name) != dim:
+    if (expected := environment_dim(name)) != dim:
         raise InvalidInputError(
-            f"the environment {name} is {environment_dim(name)}-D, the model or scene {dim}-D"
+            f"the environment {name} is {expected}-D, the model or scene {dim}-D"
         )
     module, _, single = ENVIRONMENTS[name].partition(":")
     return getattr(importlib.import_module(f".{module}", __name__), f"{single}Vector")

@@ -52,10 +52,7 @@ class ArmVector(BlockReachVector):
     def _drive(self, indices: NDArray, targets: Array) -> Array:
         """Send arms `indices (N,)` to `targets (N, D)` [m] for one control step.
 
-        Adds to `counts` the physics steps in which each event occurred.
-
-        Returns:
-            Positions after the control step, `(N, D)` [m].
+        Add to `counts` the physics steps with each event; return the positions reached `(N, D)`.
         """
 
     def _move(self, command: Array, noise: Array, alive: NDArray) -> tuple[Array, NDArray]:

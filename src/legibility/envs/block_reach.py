@@ -14,15 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ..checks import (
-    Array,
-    bounded,
-    count,
-    finite_array,
-    for_each,
-    random_seed,
-    target_index,
-)
+from ..checks import Array, bounded, count, finite_array, for_each, random_seed, target_index
 from ..errors import InvalidInputError, InvalidSceneError
 from ..scene import DEFAULT_WORKSPACE, Scene
 from . import MAX_EPISODE_STEPS
@@ -146,19 +138,11 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         """
 
     @abstractmethod
-    def _move(
-        self, command: Array, noise: Array, alive: NDArray[Any]
-    ) -> tuple[Array, NDArray[Any]]:
-        """One control step of the robots that are `alive (B,)`.
+    def _move(self, command: Array, noise: Array, alive: NDArray) -> tuple[Array, NDArray]:
+        """Move the robots that are `alive (B,)` by `command` and its error `noise (B, D)` [m].
 
-        Args:
-            command: `(B, D)` [m], displacements within the limits.
-            noise: `(B, D)` [m], an error of each displacement.
-            alive: `(B,)` bool; the others stand still.
-
-        Returns:
-            Positions `(B, D)` [m], and whether each robot would have left the workspace without
-            noise, `(B,)` bool.
+        Return positions `(B, D)` [m], and whether each robot would have left the workspace without
+        noise, `(B,)` bool.
         """
 
     @abstractmethod
@@ -194,15 +178,13 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         # All episodes are drawn before any is changed, so that a bad option changes nothing.
         episodes: dict[int, tuple[np.random.Generator, _Episode]] = {}
         for i in np.flatnonzero(mask).tolist():
-            rng = (
-                copy.deepcopy(self._rngs[i])
-                if seeds[i] is None
-                else np.random.default_rng(random_seed("seed", seeds[i]))
-            )
+            rng = copy.deepcopy(self._rngs[i])
+            if seeds[i] is not None:
+                rng = np.random.default_rng(random_seed("seed", seeds[i]))
             episodes[i] = rng, self._draw(rng, {name: value[i] for name, value in values.items()})
 
-        scenes = {**dict(enumerate(self.scenes)), **{i: e.scene for i, (_, e) in episodes.items()}}
-        self.scenes = [scenes[i] for i in range(self.num_envs)]
+        scenes: list[Any] = self.scenes or [None] * self.num_envs
+        self.scenes = [episodes[i][1].scene if i in episodes else s for i, s in enumerate(scenes)]
         for state in (self.velocities, self.commands, self.steps, self.done, self.success,
                       self.wall_contact, self._travelled, *self.counts.values()):  # fmt: skip
             state[mask] = 0
@@ -218,11 +200,11 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         return self._observation(), self._info(np.zeros(self.num_envs, dtype=bool))
 
     def _mask(self, value: Any) -> NDArray[np.bool_]:
-        mask = np.ones(self.num_envs, dtype=bool) if value is None else np.asarray(value)
-        if mask.dtype != bool or mask.shape != (self.num_envs,):
+        num = self.num_envs
+        mask = np.ones(num, dtype=bool) if value is None else np.asarray(value)
+        if mask.dtype != bool or mask.shape != (num,):
             raise InvalidInputError(
-                f"reset_mask must be {self.num_envs} booleans, "
-                f"got {mask.dtype} of shape {mask.shape}"
+                f"reset_mask must be {num} booleans, got {mask.dtype} of shape {mask.shape}"
             )
         if not self.scenes and not mask.all():
             raise InvalidInputError("reset_mask must select all in the first reset")

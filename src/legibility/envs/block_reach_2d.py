@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,9 +23,7 @@ class BlockReach2DVector(BlockReachVector):
     def _place(self, index: int, position: Array) -> Array:
         return position
 
-    def _move(
-        self, command: Array, noise: Array, alive: NDArray[Any]
-    ) -> tuple[Array, NDArray[Any]]:
+    def _move(self, command: Array, noise: Array, alive: NDArray) -> tuple[Array, NDArray]:
         low, high = self.workspace
         gain, lag = self.hidden["gain"][:, None], self.hidden["lag"][:, None]
         moved = (1 - lag) * gain * command + lag * self.velocities

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
 from ..checks import Array, target_index
-from ..errors import InvalidInputError
+from ..errors import InvalidInputError, LegibilityError
 from ..scene import Scene
 from .block_reach import BlockReachVector
 
 __all__ = ["Fleet", "is_vector"]
 
+_HARMLESS = OrderEnforcing, PassiveEnvChecker, TimeLimit
 _ADVICE = "make it with gymnasium.make_vec(…, vectorization_mode='vector_entry_point')"
 
 
@@ -29,8 +31,8 @@ class Fleet:
     """The `B` robots of an environment, whichever wrappers it stands in.
 
     Actions go through the wrappers; everything else is read from the environments themselves, so
-    wrappers of observations, rewards and infos change nothing. A wrapper that alters actions is
-    refused as soon as it does.
+    wrappers of observations, rewards and infos change nothing. A wrapper that alters, delays or
+    repeats an action is refused as soon as it does.
 
     Args:
         env: an environment of this package, a vector of ours, or a `SyncVectorEnv` of ours.
@@ -44,20 +46,22 @@ class Fleet:
         step_seconds: duration of a control step [s].
 
     Raises:
-        InvalidInputError: another environment, a mode of autoreset that loses the last state, or an
-            episode that has already ended.
+        InvalidInputError: another environment, different ones in one vector, a mode of autoreset
+            that loses the last state, or an episode that has already ended.
     """
 
     def __init__(self, env: Any, seed: int) -> None:
         self._env = env
         self._parts = _batches(env)
         first = self._parts[0]
+        if len({type(part) for part in self._parts}) > 1:
+            raise InvalidInputError(f"env must be a vector of one environment, got {env}")
         self.limit, self.lag = first.max_displacement, first.lag_range[1]
         self.workspace = first.workspace
         self.step_seconds = 1 / first.metadata["render_fps"]
         if any(not part.scenes for part in self._parts):
-            env.reset(seed=seed)
-        if self._gather("done").any():
+            self._through_wrappers(env.reset, seed=seed)
+        if self._gather("done").any() or (self._gather("steps") >= _time_limits(env)).any():
             raise InvalidInputError("an episode has ended: reset the environment before executing")
         self.size = len(self.scenes)
 
@@ -125,9 +129,8 @@ class Fleet:
         Raises:
             InvalidInputError: an active robot did not receive its action.
         """
-        before = self._gather("steps")
-        vector = is_vector(self._env)
-        _, _, terminated, truncated, _ = self._env.step(actions if vector else actions[0])
+        before, sent = self._gather("steps"), actions.copy()  # a wrapper may write into it
+        step = self._through_wrappers(self._env.step, sent if is_vector(self._env) else sent[0])
         steps, received = self._gather("steps"), self._gather("commands")
         if not (
             (steps == before + 1)[active].all()
@@ -135,10 +138,24 @@ class Fleet:
         ):
             raise InvalidInputError(
                 "env did not execute the action that was sent; reset it, and remove wrappers that "
-                f"change or repeat actions: {', '.join(_wrappers(self._env)) or 'none'}"
+                f"change, delay or repeat actions: {_wrappers(self._env) or 'none'}"
             )
-        success = np.atleast_1d(np.asarray(terminated))
-        return success, success | np.atleast_1d(np.asarray(truncated))
+        terminated, truncated = (np.atleast_1d(np.asarray(ends)) for ends in step[2:4])
+        return self._gather("success"), terminated | truncated
+
+    def _through_wrappers(self, method: Callable[..., Any], *args: Any, **options: Any) -> Any:
+        """The result of a method of the environment; an error of its wrappers names them."""
+        try:
+            return method(*args, **options)
+        except LegibilityError:
+            raise
+        except Exception as cause:
+            wrappers = _wrappers(self._env)
+            if not wrappers:
+                raise
+            raise InvalidInputError(
+                f"env fails in {method.__name__} with its wrappers {wrappers}: {cause!r}"
+            ) from cause
 
 
 def _batches(env: Any) -> list[BlockReachVector]:
@@ -163,10 +180,28 @@ def _batches(env: Any) -> list[BlockReachVector]:
     return [single for single in singles if single is not None]
 
 
-def _wrappers(env: Any) -> list[str]:
-    """Names of the wrappers around `env` and, in a vector, around its first environment."""
-    names: list[str] = []
-    while hasattr(env, "env"):
-        names.append(type(env).__name__)
+def _layers(env: Any) -> Iterator[Any]:
+    """The wrappers around `env` from outside in, and those of the first environment of a vector."""
+    while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):
+        yield env
         env = env.env
-    return names + (_wrappers(env.envs[0]) if getattr(env, "envs", None) else [])
+    if isinstance(env, SyncVectorEnv):
+        yield from _layers(env.envs[0])
+
+
+def _wrappers(env: Any) -> str:
+    """Names of the wrappers around `env`, but for those that `gymnasium.make` adds."""
+    return ", ".join(
+        type(layer).__name__ for layer in _layers(env) if not isinstance(layer, _HARMLESS)
+    )
+
+
+def _time_limits(env: Any) -> Array:
+    """Control steps of an episode of each environment, `(B,)` or one for all."""
+    limits = []
+    for single in getattr(env.unwrapped, "envs", [env]):
+        specs = [layer.spec for layer in _layers(single) if isinstance(layer, TimeLimit)]
+        limits.append(
+            min((spec.max_episode_steps or np.inf for spec in specs if spec), default=np.inf)
+        )
+    return np.array(limits)

@@ -72,10 +72,8 @@ class PandaBlockReachVector(ArmVector):
         """The joints' reference in the segment that begins with physics step `first`.
 
         It follows the old command until the delay is over, then the new one, `wanted (N, 7)`
-        [rad]. It waits for joints that cannot keep up: a large lead would pull them too fast.
-
-        Returns:
-            `(N, segment + 1, 7)` [rad]; the last row is the state at the end of the segment.
+        [rad]. It waits for joints that cannot keep up: a large lead would pull them too fast. Of
+        `(N, segment + 1, 7)` [rad] the last row is the state at the end of the segment.
         """
         period = 1 / self.metadata["render_fps"] / self.substeps
         time = np.arange(_SEGMENT + 1) * period
@@ -96,16 +94,10 @@ class PandaBlockReachVector(ArmVector):
 
 
 def _approach(start: Array, goal: Array, response: Array, time: Array) -> Array:
-    """Joint angles on the way from `start` to `goal`, `(N, T, 7)` [rad].
+    """Joint angles `(N, T, 7)` [rad] on the way from `start` to `goal (N, 7)` at `time (N, T)` [s].
 
-    A first-order system `x' = (goal − x) / τ`; all joints slow down alike for the one that would
-    be too fast.
-
-    Args:
-        start: `(N, 7)` [rad], angles at time 0.
-        goal: `(N, 7)` [rad].
-        response: `(N, 1)` [s], τ.
-        time: `(N, T)` [s].
+    A first-order system `x' = (goal − x) / τ` with τ = `response (N, 1)` [s]; all joints slow down
+    alike for the one that would be too fast.
     """
     fastest = np.abs(goal - start) / (_SPEED_SHARE * VELOCITY_LIMITS * response)
     excess = np.maximum(fastest.max(axis=1, keepdims=True), 1)
@@ -139,42 +131,27 @@ class PandaBlockReach(BlockReach):
     observed. A control step realises 0.63 to 0.88 of a steady command, least of the largest.
 
     ## Observation Space
-    A `Dict`:
-
-    * `position`: `Box((3,))` [m], the grasp point.
-    * `goals`: `Box((6, 3))` [m], the blocks' centres; rows beyond their number are 0.
-    * `present`: `MultiBinary(6)`, which rows are blocks.
-    * `target`: `Discrete(6)`, index of the intended block.
+    That of `BlockReach2D` in 3-D: `position` is the grasp point, `goals` are the blocks' centres.
 
     ## Rewards
     Minus the distance to the target [m].
 
     ## Starting State
-    A scene of `Scene.random`: 2 to 6 blocks on the table or stacked up to z = 0.16, the start
-    anywhere, all at least 0.12 of the diagonal apart. The arm is at rest, elbow up, in a posture
-    that depends on the start alone.
+    As in `BlockReach2D`, with blocks on the table or stacked up to z = 0.16. The arm is at rest,
+    elbow up, in a posture that depends on the start alone.
 
     ## Episode End
-    * Termination: success. The grasp point is within 0.02 m of the target's centre and moved by at
-      most 0.004 m in this step, so it is at rest or passes slowly (0.1 m/s). The step of a push or
-      a shift does not count.
-    * Truncation: 400 steps.
+    As in `BlockReach2D`: within 0.02 m of the target's centre after a step of at most 0.004 m
+    (0.1 m/s), or after 400 steps.
 
-    `info` has `is_success`, `distance` [m], `speed` [m/s], `wall_contact` (the command would have
-    left the workspace and was clipped at its wall), `disturbed` (a push or a shift in this step),
-    and the number of physics steps of the episode with each of these: `table_contacts`,
-    `self_collisions`, `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
+    `info` has the entries of `BlockReach2D` (`wall_contact`: the command was clipped at a wall) and
+    the number of physics steps of the episode with each of `table_contacts`, `self_collisions`,
+    `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
 
     ## Arguments
-    `reset(seed=…, options={…})` takes
+    `reset(seed=…, options={…})` takes `scene`, `target`, `num_goals`, `noise`, `push` (the arm is
+    placed at rest) and `shift` of `BlockReach2D`, and
 
-    * `scene`: a `Scene` in the default workspace; drawn by default.
-    * `target`: index of the intended goal; 0 by default.
-    * `num_goals`: of a scene that is drawn; 2 to 6 by default.
-    * `noise`: standard deviation [m] of each step's displacement; 0 by default.
-    * `push`: once half the straight line's length is travelled, the arm is placed at rest this
-      distance [m] away in a random direction, at most at the wall; 0 by default.
-    * `shift`: the same for the target block, which stays if another block is in its new place.
     * `response`, `delay`: τ [s] and the delay [s]; drawn by default.
 
     ## Version History

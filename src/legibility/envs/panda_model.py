@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import os
 import sys
 import warnings
@@ -17,8 +18,6 @@ from .arm import BASE, HOME
 
 __all__ = ["JOINT_MARGIN", "Kinematics", "Simulation", "import_mujoco", "physics", "specification"]
 
-_XML = Path(__file__).with_name("panda.xml")
-
 _SHOULDER = np.array([BASE[0], BASE[1], BASE[2] + 0.333])
 _WRIST = np.array([-0.088, 0.1034 + 0.107])
 """From the grasp point to the wrist, away from the base and up, with the gripper down [m]."""
@@ -32,10 +31,10 @@ JOINT_MARGIN = 0.02
 _TOLERANCE = 1e-7
 
 
-def import_mujoco() -> Any:
-    """MuJoCo, loaded on first use."""
+def import_mujoco(module: str = "mujoco") -> Any:
+    """MuJoCo, or a module that builds on it, loaded on first use."""
     try:
-        import mujoco
+        return importlib.import_module(module)
     except ModuleNotFoundError as cause:
         raise MissingExtraError(
             f"{cause.name} is not installed: pip install 'legibility[panda]'"
@@ -44,39 +43,21 @@ def import_mujoco() -> Any:
         backend = os.environ.get("MUJOCO_GL")
         if backend is None:
             raise
-        if backend in ("egl", "osmesa", "glfw"):  # the physics needs no OpenGL
-            return _without_opengl(backend, cause)
-        raise InvalidInputError(
-            f"MuJoCo cannot be loaded with MUJOCO_GL={backend} ({cause}); unset it, or choose "
-            "egl, osmesa or glfw"
-        ) from cause
-    return mujoco
-
-
-def _without_opengl(backend: str, reason: Exception) -> Any:
-    """MuJoCo, loaded without MUJOCO_GL."""
+        if backend not in ("egl", "osmesa", "glfw"):
+            raise InvalidInputError(
+                f"MuJoCo cannot be loaded with MUJOCO_GL={backend} ({cause}); unset it, or choose "
+                "egl, osmesa or glfw"
+            ) from cause
+        warnings.warn(f"ignoring MUJOCO_GL={backend}, which does not work: {cause}", stacklevel=2)
+    del os.environ["MUJOCO_GL"]  # the physics needs no OpenGL
     for name in [n for n in sys.modules if n.partition(".")[0] in ("mujoco", "OpenGL")]:
         del sys.modules[name]
-    del os.environ["MUJOCO_GL"]
-    import mujoco
-
-    warnings.warn(f"ignoring MUJOCO_GL={backend}, which does not work: {reason}", stacklevel=3)
-    return mujoco
-
-
-def import_mink() -> Any:
-    """mink, MuJoCo's inverse kinematics."""
-    import_mujoco()  # its errors are clearer
-    try:
-        import mink
-    except ImportError as cause:
-        raise MissingExtraError("mink is not installed: pip install 'legibility[panda]'") from cause
-    return mink
+    return import_mujoco(module)
 
 
 def specification() -> Any:
     """The arm on its table as an `MjSpec`: geoms of group 3 collide, those of 2 are visible."""
-    return import_mujoco().MjSpec.from_file(str(_XML))
+    return import_mujoco().MjSpec.from_file(str(Path(__file__).with_name("panda.xml")))
 
 
 @functools.cache
@@ -98,7 +79,7 @@ class Kinematics:
     """
 
     def __init__(self) -> None:
-        mink, model = import_mink(), physics()
+        mink, model = import_mujoco("mink"), physics()
         self._mujoco, self._build = import_mujoco(), mink.build_ik
         self._configuration = mink.Configuration(model)
         self._site = model.site("grasp").id
@@ -171,16 +152,10 @@ class Simulation:
         return Simulation, ()
 
     def run(self, angles: Array, speeds: Array, controls: Array) -> tuple[Array, Array, Array]:
-        """Simulate `T` physics steps.
+        """Simulate `T` steps from `angles` [rad] and `speeds` [rad/s], `(B, 7)` each.
 
-        Args:
-            angles: `(B, 7)` [rad].
-            speeds: `(B, 7)` [rad/s].
-            controls: `(B, T, 7)` [rad], the motors' goal in each step.
-
-        Returns:
-            Angles and speeds after each step `(B, T, 7)`, and whether the arm touched the
-            table and itself when the step began, `(B, T, 2)` bool.
+        The motors' goals are `controls (B, T, 7)` [rad]. Return angles and speeds after each step
+        `(B, T, 7)`, and whether the arm touched the table and itself before it, `(B, T, 2)`.
         """
         start = np.zeros((len(angles), self._size))
         start[:, 1:8], start[:, 8:15] = angles, speeds

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes.util
 import functools
-import importlib
+import importlib.util
+import itertools
 import os
 import threading
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +22,6 @@ from ..errors import InvalidInputError
 from ..scene import Scene
 from .arm import BLOCK
 from .colors import GOALS, INK
-from .panda_meshes import franka_meshes
 from .panda_model import import_mujoco, physics, specification
 
 __all__ = ["FRONT", "Camera", "Trail", "arm_image"]
@@ -29,27 +30,31 @@ _STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
 _SMOOTH, _FINE = 2, 3
 """The picture is drawn this many times larger and reduced, with OpenGL and as a sketch."""
 _MAX_SHAPES = 5_000
+_SUN = np.array([-0.25, -0.35, 0.9])
+"""Direction of the light in a sketch."""
+_SQUARE = ((-1, -1), (-1, 1), (1, 1), (1, -1))
+
+_LINKS = (*(f"link{i}" for i in range(8)), "hand", "finger")
+_WHITE = [0.95, 0.95, 0.95]
 
 
 class Camera(NamedTuple):
-    """The camera of a picture.
+    """The camera of a picture, whose vertical field of view is 30°.
 
     Attributes:
         azimuth: of the view's direction [degrees].
         elevation: of the view's direction; negative looks down [degrees].
         distance: from `lookat` [m].
         lookat: the middle of the picture [m].
-        angle: vertical field of view [degrees].
     """
 
     azimuth: float = 140.0
     elevation: float = -22.0
     distance: float = 2.35
     lookat: tuple[float, float, float] = (-0.25, 0.0, 0.22)
-    angle: float = 30.0
 
 
-FRONT = Camera(150.0, -28.0, 2.1, (-0.22, 0.0, 0.25), 30.0)
+FRONT = Camera(150.0, -28.0, 2.1, (-0.22, 0.0, 0.25))
 """Nearer than the default and more from the front."""
 
 
@@ -65,15 +70,6 @@ class Trail(NamedTuple):
     points: Array
     rgba: Sequence[float]
     radius: float = 0.004
-
-
-class _Shape(NamedTuple):
-    """A box of half edges `size` or, from `centre` to `end`, a tube of radius `size[0]`."""
-
-    centre: Array
-    size: tuple[float, ...]
-    rgba: tuple[float, ...]
-    end: Array | None = None
 
 
 def arm_image(
@@ -101,50 +97,78 @@ def arm_image(
     width, height = (
         count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
     )
-    shapes = [*_blocks(scene, target), *_tubes(trails)]
-    if len(shapes) > _MAX_SHAPES:
+    boxes, tubes = list(_blocks(scene)), [*_ring(scene, target), *trails]
+    pieces = len(boxes) + sum(len(tube[0]) - 1 for tube in tubes)
+    if pieces > _MAX_SHAPES:
         raise InvalidInputError(
-            f"blocks and trails must be at most {_MAX_SHAPES} pieces, got {len(shapes)}"
+            f"blocks and trails must be at most {_MAX_SHAPES} pieces, got {pieces}"
         )
     renderer = _renderer()
+    shapes = _shapes(_looks() if renderer else physics(), angles, camera, boxes, tubes)
     if renderer is None:
-        return _Sketch(width, height, camera).draw(angles, shapes)
-    return renderer.draw(angles, shapes, width, height, camera)
+        return _sketch(shapes, width, height)
+    return renderer.draw(shapes, width, height)
 
 
 def _rgba(color: str) -> tuple[float, ...]:
     return (*(channel / 255 for channel in ImageColor.getrgb(color)), 1.0)
 
 
-def _blocks(scene: Scene, target: int | None) -> list[_Shape]:
-    shapes = []
+def _blocks(scene: Scene) -> Iterator[tuple[Array, Sequence[float], Sequence[float]]]:
+    """Centre, half edges and colour of the goals' blocks and of those that support them."""
     half = BLOCK / 2
     for index, goal in enumerate(scene.goals):
-        shapes.append(_Shape(goal, (half,) * 3, _rgba(GOALS[index % len(GOALS)])))
+        yield goal, (half, half, half), _rgba(GOALS[index % len(GOALS)])
         bottom = goal[2] - half
         while bottom > 1e-3:  # the lowest block is cut to the room that is left
             height = min(BLOCK, bottom)
-            centre = np.array([*goal[:2], bottom - height / 2])
             # Slightly slimmer, so that it hides no goal's block in the same place.
-            shapes.append(_Shape(centre, (0.95 * half, 0.95 * half, height / 2), _STACK))
+            edges = 0.95 * half, 0.95 * half, height / 2
+            yield np.array([*goal[:2], bottom - height / 2]), edges, _STACK
             bottom -= height
+
+
+def _ring(scene: Scene, target: int | None) -> Iterator[Trail]:
     if target is not None:
-        middle = scene.target(target) - [0, 0, half - 0.002]
+        middle = scene.target(target) - [0, 0, BLOCK / 2 - 0.002]
         turn = np.linspace(0, 2 * np.pi, 49)
-        ring = middle + _RING * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
-        shapes += _tubes([Trail(ring, _rgba(INK), 0.0016)])
+        circle = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
+        yield Trail(middle + _RING * circle, _rgba(INK), 0.0016)
+
+
+def _shapes(
+    model: Any, angles: Array, camera: Camera, boxes: Iterable[Any], tubes: Iterable[Trail]
+) -> Any:
+    """The arm, the boxes and the tubes as MuJoCo's `MjvScene`, which needs no OpenGL."""
+    mujoco = import_mujoco()
+    data, shapes = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=_MAX_SHAPES + 500)
+    data.qpos[:] = angles
+    mujoco.mj_forward(model, data)
+    view, option = mujoco.MjvCamera(), mujoco.MjvOption()
+    view.azimuth, view.elevation, view.distance, view.lookat[:] = camera
+    option.geomgroup[3] = 1
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    mujoco.mjv_updateScene(model, data, option, None, view, everything, shapes)
+    geoms = shapes.geoms
+
+    def add(form: Any, category: Any, centre: Array, size: Sequence[float], rgba: Any) -> Any:
+        geom = geoms[shapes.ngeom]
+        shapes.ngeom += 1
+        color = np.array(rgba, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, form, np.array(size), centre, np.eye(3).ravel(), color)
+        geom.category, geom.specular, geom.shininess = category, 0.2, 0.3
+        return geom
+
+    form, category = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtCatBit.mjCAT_DYNAMIC
+    for centre, size, rgba in boxes:
+        add(form, category, centre, size, rgba)
+    form, category = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtCatBit.mjCAT_DECOR  # no shadow
+    for points, rgba, radius in tubes:
+        for start, end in itertools.pairwise(np.asarray(points, dtype=np.float64)):
+            geom = add(form, category, start, (radius, radius, radius), rgba)
+            mujoco.mjv_connector(geom, form, radius, start, end)
     return shapes
 
-
-def _tubes(trails: Iterable[Trail]) -> list[_Shape]:
-    return [
-        _Shape(start, (radius,) * 3, tuple(rgba), end)
-        for points, rgba, radius in trails
-        for start, end in zip(np.asarray(points)[:-1], np.asarray(points)[1:], strict=True)
-    ]
-
-
-# ------------------------------------------------------------------------------------ with OpenGL
 
 _LOCAL = threading.local()
 """OpenGL's contexts belong to threads."""
@@ -180,156 +204,141 @@ def _ways() -> list[str]:
 
 
 class _Renderer:
+    """Draws shapes with OpenGL."""
+
     def __init__(self, way: Any) -> None:
         self._context = way.GLContext(640, 480)
         self._context.make_current()
         self._mujoco = mujoco = import_mujoco()
-        self._model = _looks()
-        self._data = mujoco.MjData(self._model)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=_MAX_SHAPES + 500)
-        self._option = mujoco.MjvOption()
-        self._gl = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._gl = mujoco.MjrContext(_looks(), mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
 
-    def draw(
-        self, angles: Array, shapes: list[_Shape], width: int, height: int, camera: Camera
-    ) -> NDArray[np.uint8]:
-        mujoco, scene = self._mujoco, self._scene
+    def draw(self, shapes: Any, width: int, height: int) -> NDArray[np.uint8]:
         self._context.make_current()
         wide, high = width * _SMOOTH, height * _SMOOTH
         if (self._gl.offWidth, self._gl.offHeight) != (wide, high):
-            mujoco.mjr_resizeOffscreen(wide, high, self._gl)
-        self._data.qpos[:] = angles
-        mujoco.mj_forward(self._model, self._data)
-        view = mujoco.MjvCamera()
-        view.azimuth, view.elevation = camera.azimuth, camera.elevation
-        view.distance, view.lookat[:] = camera.distance, camera.lookat
-        self._model.vis.global_.fovy = camera.angle
-        everything = mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateScene(self._model, self._data, self._option, None, view, everything, scene)
-        geoms = scene.geoms
-        for shape in shapes:
-            self._add(geoms[scene.ngeom], shape)
-            scene.ngeom += 1
-        area = mujoco.MjrRect(0, 0, wide, high)
-        mujoco.mjr_render(area, scene, self._gl)
+            self._mujoco.mjr_resizeOffscreen(wide, high, self._gl)
+        area = self._mujoco.MjrRect(0, 0, wide, high)
+        self._mujoco.mjr_render(area, shapes, self._gl)
         pixels = np.empty((high, wide, 3), dtype=np.uint8)
-        mujoco.mjr_readPixels(pixels, None, area, self._gl)
+        self._mujoco.mjr_readPixels(pixels, None, area, self._gl)
         return np.array(Image.fromarray(pixels[::-1]).reduce(_SMOOTH))
-
-    def _add(self, geom: Any, shape: _Shape) -> None:
-        mujoco, tube = self._mujoco, shape.end is not None
-        kind = mujoco.mjtGeom.mjGEOM_CAPSULE if tube else mujoco.mjtGeom.mjGEOM_BOX
-        centre, rgba = shape.centre.astype(np.float64), np.array(shape.rgba, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, np.array(shape.size), centre, np.eye(3).ravel(), rgba)
-        geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
-        geom.specular, geom.shininess = 0.2, 0.3
-        if shape.end is not None:
-            geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # casts no shadow
-            end = shape.end.astype(np.float64)
-            mujoco.mjv_connector(geom, kind, shape.size[0], centre, end)
 
 
 @functools.cache
 def _looks() -> Any:
     """The model that is drawn: the joints of the physics with Franka's meshes, where there are."""
-    mujoco, spec = import_mujoco(), specification()
+    mujoco, spec, meshes = import_mujoco(), specification(), _franka_meshes()
     bodies = {body.name: body for body in spec.bodies}
-    meshes = franka_meshes()
     for geom in list(spec.geoms):
         if geom.group == 3 or (meshes and geom.group == 2):
             spec.delete(geom)
-    for name, link, text, rgba in meshes:
-        spec.assets = {**spec.assets, f"{name}.obj": text}
-        mesh = spec.add_mesh(name=name, file=f"{name}.obj")
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    for number, (link, rgba, arrays) in enumerate(meshes):
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        mesh = spec.add_mesh(name=f"mesh{number}", inertia=shell, **arrays)
         for body in ("left_finger", "right_finger") if link == "finger" else (link,):
             bodies[body].add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=rgba,
+                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba,
                 contype=0, conaffinity=0, mass=0, group=2,
             )  # fmt: skip
     return spec.compile()
 
 
-# --------------------------------------------------------------------------------- without OpenGL
+def _franka_meshes() -> list[tuple[str, list[float], dict[str, Any]]]:
+    """Link, colour and MuJoCo's mesh arrays of each part; none without pybullet_data."""
+    package = importlib.util.find_spec("pybullet_data")
+    if package is None or package.origin is None:
+        return []
+    folder = Path(package.origin).parent / "franka_panda" / "meshes"
+    parts = []
+    for link in _LINKS:
+        detailed, rough = (folder / name / f"{link}.obj" for name in ("visual", "collision"))
+        path = detailed if detailed.is_file() else rough
+        if not path.is_file():
+            return []
+        colors = _colors(path.with_suffix(".mtl"))
+        for material, arrays in _split(path.read_text()).items():
+            parts.append((link, [*colors.get(material, _WHITE), 1.0], arrays))
+    return parts
 
 
-_SUN = np.array([-0.25, -0.35, 0.9])
-_BODY, _EDGE = (0.90, 0.91, 0.92), (0.55, 0.56, 0.58)
+def _colors(path: Path) -> dict[str, list[float]]:
+    """The diffuse colour of each material of an MTL file."""
+    colors, name = {}, ""
+    for words in map(str.split, path.read_text().splitlines() if path.is_file() else ()):
+        if words[:1] == ["newmtl"]:
+            name = words[1]
+        elif words[:1] == ["Kd"]:
+            colors[name] = [float(word) for word in words[1:4]]
+    return colors
 
 
-class _Sketch:
-    """Capsules and boxes, the far ones first, in the perspective of the OpenGL picture."""
-
-    def __init__(self, width: int, height: int, camera: Camera) -> None:
-        azimuth, elevation, half = np.radians([camera.azimuth, camera.elevation, camera.angle / 2])
-        flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        forward = np.cos(elevation) * flat + [0, 0, np.sin(elevation)]
-        right = np.array([flat[1], -flat[0], 0.0])
-        self._axes = np.stack([right, np.cross(right, forward), forward])
-        self._eye = np.array(camera.lookat) - camera.distance * forward
-        self._size = np.array([width, height]) * _FINE
-        self._scale = self._size[1] / 2 / np.tan(half)
-        self._image = Image.new("RGB", tuple(self._size.tolist()), "white")
-        self._pen = ImageDraw.Draw(self._image)
-
-    def draw(self, angles: Array, shapes: list[_Shape]) -> NDArray[np.uint8]:
-        mujoco, model = import_mujoco(), physics()
-        data = mujoco.MjData(model)
-        data.qpos[:] = angles
-        mujoco.mj_kinematics(model, data)
-        items = [*shapes]
-        for i in range(model.ngeom):
-            centre, size = data.geom_xpos[i].copy(), model.geom_size[i]
-            turn = data.geom_xmat[i].reshape(3, 3)
-            if i == model.geom("table").id:
-                self._box(centre, size, turn, tuple(model.geom_rgba[i]))  # below the rest
-            elif model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
-                items.append(_Shape(centre, tuple(size), (*_EDGE, 1.0)))
-            else:
-                half = size[1] * turn[:, 2]
-                items.append(_Shape(centre - half, (size[0],) * 3, (*_BODY, 1.0), centre + half))
-
-        def depth(shape: _Shape) -> float:
-            middle = shape.centre if shape.end is None else (shape.centre + shape.end) / 2
-            return float(self._axes[2] @ (middle - self._eye))
-
-        for shape in sorted(items, key=depth, reverse=True):
-            if shape.end is None:
-                self._box(shape.centre, np.array(shape.size), np.eye(3), shape.rgba)
-            else:
-                self._tube(shape.centre, shape.end, shape.size[0], shape.rgba)
-        return np.array(self._image.reduce(_FINE))
-
-    def _place(self, points: Array) -> Array:
-        """Pixel position of `points (..., 3)` [m], and pixels of a metre there, `(..., 3)`."""
-        seen = (points - self._eye) @ self._axes.T
-        scale = self._scale / np.maximum(seen[..., 2:], 1e-3)
-        return np.concatenate([self._size / 2 + seen[..., :2] * [1, -1] * scale, scale], axis=-1)
-
-    def _box(self, centre: Array, size: Array, turn: Array, rgba: tuple[float, ...]) -> None:
-        for axis in range(3):
-            for side in (-1, 1):
-                normal = side * turn[:, axis]
-                if normal @ (self._eye - centre - normal * size[axis]) <= 0:
-                    continue
-                corners = np.full((4, 3), float(side))
-                corners[:, np.arange(3) != axis] = [[-1, -1], [-1, 1], [1, 1], [1, -1]]
-                face = self._place(centre + (corners * size) @ turn.T)[:, :2]
-                light = 0.65 + 0.35 * max(0.0, float(normal @ _SUN))
-                self._pen.polygon(face.ravel().tolist(), fill=_color(rgba, light))
-
-    def _tube(self, start: Array, end: Array, radius: float, rgba: tuple[float, ...]) -> None:
-        ends = self._place(np.stack([start, end]))
-        thick = radius * ends[:, 2].mean()
-        layers = ((1.0, 0.72), (0.85, 1.0)) if radius > 0.01 else ((1.0, 1.0),)
-        for share, light in layers:
-            width, fill = thick * share, _color(rgba, light)
-            self._pen.line(ends[:, :2].ravel().tolist(), fill=fill, width=max(1, round(2 * width)))
-            for x, y in ends[:, :2]:
-                self._pen.ellipse((x - width, y - width, x + width, y + width), fill=fill)
+def _split(text: str) -> dict[str, dict[str, Any]]:
+    """MuJoCo's mesh arrays for each material of an OBJ file whose corners have normals."""
+    points: dict[str, list[list[float]]] = {"v": [], "vn": []}
+    triangles: dict[str, list[Any]] = {}
+    material = ""
+    for name, *words in filter(None, map(str.split, text.splitlines())):
+        if name in points:
+            points[name].append([float(word) for word in words])
+        elif name == "usemtl":
+            material = words[0]
+        elif name == "f":
+            first, *others = [[int(index) for index in word.split("/")[::2]] for word in words]
+            triangles.setdefault(material, []).extend(
+                [first, b, c] for b, c in itertools.pairwise(others)
+            )
+    vertices, normals = map(np.array, points.values())
+    meshes = {}
+    for material, corners in triangles.items():
+        pairs, faces = np.unique(np.reshape(corners, (-1, 2)) - 1, axis=0, return_inverse=True)
+        meshes[material] = {
+            "uservert": vertices[pairs[:, 0]].ravel(),
+            "usernormal": normals[pairs[:, 1]].ravel(),
+            "userface": faces.ravel(),
+            "userfacenormal": faces.ravel(),
+        }
+    return meshes
 
 
-def _color(rgba: tuple[float, ...], light: float) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * min(1.0, share * light)) for share in rgba[:3])
-    return red, green, blue
+def _sketch(shapes: Any, width: int, height: int) -> NDArray[np.uint8]:
+    """Draw capsules and boxes without OpenGL: the table first, then the far ones."""
+    mujoco = import_mujoco()
+    view = mujoco.mjv_averageCamera(*shapes.camera)
+    eye, forward, up = map(np.array, (view.pos, view.forward, view.up))
+    axes = np.stack([np.cross(forward, up), -up, forward])
+    size = np.array([width, height]) * _FINE
+    focus = size[1] / 2 * view.frustum_near / view.frustum_top
+    image = Image.new("RGB", tuple(size.tolist()), "white")
+    pen = ImageDraw.Draw(image)
+
+    def place(points: Array) -> tuple[Array, Array]:
+        """Pixel position of `points (N, 3)` [m], and pixels of a metre there, `(N, 1)`."""
+        seen = (points - eye) @ axes.T
+        scale = focus / np.maximum(seen[:, 2:], 1e-3)
+        return size / 2 + seen[:, :2] * scale, scale
+
+    table, *others = shapes.geoms[: shapes.ngeom]
+    others.sort(key=lambda geom: forward @ (geom.pos - eye), reverse=True)
+    for geom in [table, *others]:
+        centre, turn, rgb = geom.pos, geom.mat, geom.rgba[:3]
+        if geom.type == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            radius, half = geom.size[0], geom.size[2] * turn[:, 2]
+            ends, scale = place(np.stack([centre - half, centre + half]))
+            for share, light in ((1.0, 0.72), (0.85, 1.0)) if radius > 0.01 else ((1.0, 1.0),):
+                thick, fill = radius * scale.mean() * share, _color(rgb * light)
+                pen.line(ends.ravel().tolist(), fill, max(1, round(2 * thick)))
+                for end in ends:
+                    pen.ellipse([*(end - thick), *(end + thick)], fill)
+            continue
+        for axis, side in itertools.product(range(3), (-1, 1)):
+            normal = side * turn[:, axis]
+            if normal @ (eye - centre - normal * geom.size[axis]) > 0:  # faces the camera
+                corners = np.insert(_SQUARE, axis, side, axis=1) * geom.size
+                fill = _color(rgb * (0.65 + 0.35 * max(0.0, normal @ _SUN)))
+                pen.polygon(place(centre + corners @ turn.T)[0].ravel().tolist(), fill)
+    return np.array(image.reduce(_FINE))
+
+
+def _color(rgb: Array) -> tuple[int, ...]:
+    return tuple(np.round(255 * np.minimum(rgb, 1)).astype(int).tolist())

@@ -53,7 +53,6 @@ _CAMERA = [0.95, -0.75, 0.75], [-0.22, 0.02, 0.24], [0, 0, 1]
 """Position of the camera, the point that it looks at, and up [m]."""
 _ANGLE_OF_VIEW = 43.0
 _TABLE, _FLOOR, _SUPPORT = "#e8e6e1", "#c9ccd1", "#b9b9b9"
-_AWAY = np.array([0.0, 0.0, -5.0])
 _LIGHT = {
     "lightDirection": [1.2, -2.0, 9.0], "lightColor": [1, 1, 1], "lightDistance": 10, "shadow": 1,
     "lightAmbientCoeff": 0.6, "lightDiffuseCoeff": 0.38, "lightSpecularCoeff": 0.05,
@@ -159,12 +158,10 @@ class _World:
         return self._position()
 
     def drive(self, target: Array, substeps: int) -> tuple[Array, list[int]]:
-        """Move toward `target (3,)` [m] for one control step.
+        """Move toward `target (3,)` [m] for one control step; return the position reached.
 
-        Returns:
-            The position reached `(3,)` [m], and the number of physics steps with a table contact, a
-            self-collision (checked at the end of the control step only), a joint beyond its limits
-            and a joint too fast.
+        Also return the number of physics steps with each event of `counted`; a self-collision is
+        checked at the end of the control step only.
         """
         client, body, table = self.client, self.body, self.table
         angles = self.joints()
@@ -227,7 +224,6 @@ class _Stage(_World):
 
     def __init__(self) -> None:
         super().__init__(visible=True)
-        self._boxes: list[int] = []
         client = self.client
         for body, color in ((self.table, _TABLE), (self.sim._bodies_idx["plane"], _FLOOR)):
             client.changeVisualShape(body, -1, rgbaColor=_rgba(color))
@@ -237,24 +233,20 @@ class _Stage(_World):
     def picture(self, angles: Array, goals: Array) -> NDArray[np.uint8]:
         """The arm at `angles (7,)` [rad] among the blocks at `goals (G, 3)` [m], `(H, W, 3)`."""
         self.set_joints(angles)
-        shown = [(goal, GOALS[index % len(GOALS)]) for index, goal in enumerate(goals)]
+        blocks = [(goal, GOALS[index % len(GOALS)]) for index, goal in enumerate(goals)]
         for x, y, z in goals:
-            shown += [
-                ((x, y, below), _SUPPORT) for below in np.arange(z - BLOCK, BLOCK / 4, -BLOCK)
-            ]
-        for number in range(len(self._boxes), len(shown)):
-            name, half = f"box {number}", np.full(3, BLOCK / 2)
-            self.sim.create_box(name, half, 0.0, _AWAY, np.ones(4), ghost=True)
-            self._boxes.append(self.sim._bodies_idx[name])
-        hidden = [(_AWAY, _SUPPORT)] * (len(self._boxes) - len(shown))
-        for body, (position, color) in zip(self._boxes, [*shown, *hidden], strict=True):
-            self.client.resetBasePositionAndOrientation(body, position, [0.0, 0.0, 0.0, 1.0])
-            self.client.changeVisualShape(body, -1, rgbaColor=_rgba(color))
+            supports = np.arange(z - BLOCK, BLOCK / 4, -BLOCK)
+            blocks += [(np.array([x, y, below]), _SUPPORT) for below in supports]
+        half = np.full(3, BLOCK / 2)
+        for name, (centre, color) in enumerate(blocks):
+            self.sim.create_box(name, half, 0.0, centre, _rgba(color), ghost=True)
         size = _SHARPNESS * _SIZE
         rgba = self.client.getCameraImage(
             size, size, self._view, self._projection, **_LIGHT,
             flags=self.client.ER_NO_SEGMENTATION_MASK, renderer=self.client.ER_TINY_RENDERER,
         )[2]  # fmt: skip
+        for name in range(len(blocks)):
+            self.client.removeBody(self.sim._bodies_idx.pop(name))
         image = np.reshape(np.asarray(rgba, dtype=np.uint8), (size, size, 4))[..., :3]
         return np.array(Image.fromarray(image).reduce(_SHARPNESS))
 
@@ -317,10 +309,8 @@ class PandaGymBlockReach(BlockReach):
 
     ## Description
     The paper's simulator: the arm, table and physics of panda-gym (PyBullet). The task and the
-    interface are those of `PandaBlockReach`, its twin in MuJoCo: the arm stands at x = −0.6 on a
-    table whose top is z = 0, and the position is that of the grasp point between the fingertips.
-    The gripper points down, closed. Blocks of 4 cm have no contact. The picture shows the support
-    of a stacked block in grey and does not mark the target.
+    interface are those of `PandaBlockReach`, its twin in MuJoCo. The picture shows the support of a
+    stacked block in grey and does not mark the target.
 
     ## Action Space
     `Box(-0.02, 0.02, (3,), float64)`: a commanded displacement [m] for one control step (0.04 s,
@@ -330,13 +320,8 @@ class PandaGymBlockReach(BlockReach):
     85 % of a command, least of the largest.
 
     ## Observation Space
-    A `Dict`:
-
-    * `position`: `Box((3,))` [m], the grasp point. It overshoots the walls by a few millimetres,
-      and where the arm is stretched, near (0.1, ±0.3, 0.4), by 2 cm.
-    * `goals`: `Box((6, 3))` [m], the blocks' centres; rows beyond their number are 0.
-    * `present`: `MultiBinary(6)`, which rows are blocks.
-    * `target`: `Discrete(6)`, index of the intended block.
+    That of `PandaBlockReach`. The position overshoots the walls by a few millimetres, and where the
+    arm is stretched, near (0.1, ±0.3, 0.4), by 2 cm.
 
     ## Rewards
     Minus the distance to the target [m].
@@ -349,8 +334,7 @@ class PandaGymBlockReach(BlockReach):
     control step, between the hulls of links that are no neighbours.
 
     ## Arguments
-    `reset(seed=…, options={…})` takes `scene`, `target`, `num_goals`, `noise`, `push` and `shift`
-    of `PandaBlockReach`.
+    Those of `BlockReach2D` but for `gain` and `lag`.
 
     ## Version History
     * v0: the first.

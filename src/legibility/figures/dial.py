@@ -22,11 +22,10 @@ def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
 
     Args:
         result: what `evaluate_dial` returned, or its JSON.
-        file: .png, .pdf or .svg.
+        file: see `figure_file`.
 
     Raises:
         InvalidInputError: `result` is something else.
-        OutputError: another suffix, or the file cannot be written.
     """
     try:
         levels = np.array(result["levels"], dtype=np.float64)

@@ -19,7 +19,6 @@ from matplotlib import rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
@@ -30,7 +29,7 @@ from scipy.spatial import KDTree
 from ..envs.colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
 from ..files import atomic_path
-from ..intent.belief import CONFIDENCE
+from ..intent.metrics import CONFIDENCE
 from ..rollout import Rollout
 from ..scene import Scene
 from .scene_axes import goal_colors
@@ -78,12 +77,8 @@ def execution_figure(rollouts: Sequence[Rollout], file: str | FilePath) -> None:
     """Draw executed motions side by side and the observer's belief over time under each.
 
     Args:
-        rollouts: in one scene, toward one target.
-        file: .png, .pdf or .svg.
-
-    Raises:
-        InvalidInputError: there are none, or too many.
-        OutputError: another suffix, or the file cannot be written.
+        rollouts: 1 to `MOST`, in one scene, toward one target; another number raises.
+        file: see `figure_file`.
     """
     check_number(len(rollouts))
     layout = _Layout(len(rollouts), rollouts[0].path.scene)
@@ -101,13 +96,9 @@ def execution_film(
     """Film executed motions side by side, in real time, a frame a control step.
 
     Args:
-        rollouts: in one scene, toward one target.
-        file: .gif, or .mp4 where ffmpeg is installed.
+        rollouts: see `execution_figure`.
+        file: .gif, or .mp4 where ffmpeg is installed; see `check_film`.
         progress: called with the frames done and the frames in all.
-
-    Raises:
-        InvalidInputError: there are none, or too many.
-        OutputError: another suffix, or the file cannot be written.
     """
     check_film(file)
     check_number(len(rollouts))
@@ -135,13 +126,6 @@ class _Layout:
         self.heights = [*[0.38, height, 0.22, 0.8, 0.36] * self.rows, self.key]
         self.size = sum(self.widths), sum(self.heights)
 
-    def grid(self, figure: Figure) -> GridSpec:
-        """The cells and the gaps between them."""
-        return figure.add_gridspec(
-            len(self.heights), len(self.widths), left=0, right=1, bottom=0, top=1, wspace=0,
-            hspace=0, width_ratios=self.widths, height_ratios=self.heights,
-        )  # fmt: skip
-
 
 class _Stage:
     """The axes of all motions at any control step."""
@@ -154,7 +138,10 @@ class _Stage:
         path = rollouts[0].path
         self.colors = goal_colors(path.scene.num_goals, path.target)
         figure.set_layout_engine("none")
-        cells = layout.grid(figure)
+        cells = figure.add_gridspec(
+            len(layout.heights), len(layout.widths), left=0, right=1, bottom=0, top=1, wspace=0,
+            hspace=0, width_ratios=layout.widths, height_ratios=layout.heights,
+        )  # fmt: skip
         self.motions = []
         for number, rollout in enumerate(rollouts):
             row, column = divmod(number, layout.columns)
@@ -173,40 +160,32 @@ class _Stage:
             else:
                 panel.tick_params(labelleft=False)
             cell = cells[5 * row + 1, 2 * column + 1]
-            view = (
-                ArmView(figure, cell, rollout, dpi)
-                if rollout.joint_angles.size
-                else DrawnView(figure, cell, rollout)
-            )
+            if rollout.joint_angles.size:
+                view = ArmView(figure, cell, rollout, dpi)
+            else:
+                view = DrawnView(figure, cell, rollout)
             self.motions.append(_Motion(view, panel, rollout, self.colors))
         self._add_key(layout, path.target)
 
     def _add_key(self, layout: _Layout, target: int) -> None:
         others = [color for goal, color in enumerate(self.colors) if goal != target]
-
-        def square(color: str) -> Line2D:
-            return Line2D([], [], ls="", marker="s", ms=4.5, color=color)
-
-        def line(color: str) -> Line2D:
-            return Line2D([], [], color=color, lw=2)
-
-        entries: list[tuple[Any, str]] = [
-            (square(self.colors[target]), "target"),
-            (tuple(map(square, others[:2])), "other goal" + "s" * (len(others) > 1)),
-            (Line2D([], [], color=INK, lw=0.7, ls=DOTTED), "planned"),
-            (
-                tuple(map(line, (self.colors[target], others[0]))),
-                "executed, coloured by belief",
-            ),
-            (
-                diamond([], []),
-                rf"time to confidence: $P(\mathrm{{target}})$ ≥ {CONFIDENCE:g} for good",
-            ),
+        squares = [
+            Line2D([], [], ls="", marker="s", ms=4.5, color=color)
+            for color in (self.colors[target], *others[:2])
         ]
-        handles, labels = zip(*entries, strict=True)
+        trails = [Line2D([], [], color=color, lw=2) for color in (self.colors[target], others[0])]
+        confident = rf"time to confidence: $P(\mathrm{{target}})$ ≥ {CONFIDENCE:g} for good"
+        entries: dict[str, Any] = {
+            "target": squares[0],
+            "other goal" + "s" * (len(others) > 1): tuple(squares[1:]),
+            "planned": Line2D([], [], color=INK, lw=0.7, ls=DOTTED),
+            "executed, coloured by belief": tuple(trails),
+            confident: diamond([], []),
+        }
         self.figure.legend(
-            handles, labels, loc="lower center", borderpad=0, borderaxespad=0.4, columnspacing=1.5,
-            ncols=layout.key_columns, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.2)},
+            [*entries.values()], [*entries], loc="lower center", borderpad=0, borderaxespad=0.4,
+            columnspacing=1.5, ncols=layout.key_columns,
+            handler_map={tuple: HandlerTuple(ndivide=None, pad=0.2)},
         )  # fmt: skip
 
     def show(self, step: int) -> None:
@@ -345,11 +324,9 @@ def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seco
     pipe = subprocess.PIPE
     with subprocess.Popen(command, bufsize=0, stdin=pipe, stderr=pipe) as encoder:
         assert encoder.stdin
-        assert encoder.stderr
         with contextlib.suppress(BrokenPipeError):  # it has ended and printed why
             for picture in itertools.chain(pictures, hold):
                 encoder.stdin.write(picture.tobytes())
-        encoder.stdin.close()
-        error = encoder.stderr.read().decode(errors="replace").strip()
+        error = encoder.communicate()[1].decode(errors="replace").strip()
     if encoder.returncode:
         raise OSError(f"ffmpeg: {error or f'exit status {encoder.returncode}'}")

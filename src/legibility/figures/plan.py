@@ -1,4 +1,4 @@
-"""The figure of planned paths."""
+"""The figures of planned paths and of a scene's archive."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import PercentFormatter
+from numpy.typing import ArrayLike
 
-from ..envs.colors import MUTED
+from ..checks import Array
+from ..envs.colors import INK, MUTED
+from ..scene import Scene
 from .scene_axes import name_ends, scene_axes, scene_cells
 from .style import (
+    COLUMN,
     DASHED,
     DOTTED,
     HALO,
@@ -26,7 +32,12 @@ from .style import (
 if TYPE_CHECKING:
     from ..motion.path import Path
 
-__all__ = ["plan_figure"]
+__all__ = ["archive_figure", "plan_figure"]
+
+_COLORS = LinearSegmentedColormap.from_list(
+    "ambiguous_straight_legible", ["#114b8c", "#5b93c7", "#b8b8b8", "#de6a55", "#96101f"]
+)
+_BINS = 20
 
 
 def plan_figure(path: Path, file: str | FilePath) -> None:
@@ -37,10 +48,7 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
 
     Args:
         path: one path or a batch.
-        file: .png, .pdf or .svg.
-
-    Raises:
-        OutputError: another suffix, or the file cannot be written.
+        file: see `figure_file`.
     """
     scene, target = path.scene, path.target
     levels, achieved = np.atleast_1d(path.legibility), np.atleast_1d(path.achieved)
@@ -96,3 +104,43 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
             error = np.abs(achieved - levels).mean()
             panel.text(0.97, 0.04, f"mean error {error:.3f}", ha="right", transform=panel.transAxes)
         name_ends(figure, axes, scene, target, curves)
+
+
+def archive_figure(
+    scene: Scene,
+    target: int,
+    trajectories: Array,
+    labels: Array,
+    all_labels: ArrayLike,
+    file: str | FilePath,
+) -> None:
+    """Draw one scene's trajectories coloured by label, and a histogram of the labels of all scenes.
+
+    Args:
+        scene: the scene.
+        target: index of the intended goal.
+        trajectories: `(N, T, D)` [m].
+        labels: `(N,)`.
+        all_labels: labels of the whole dataset, any shape.
+        file: see `figure_file`.
+    """
+    num = len(labels)
+    order = np.random.default_rng(0).permutation(num)  # so that no level hides the others
+    pooled = np.clip(np.asarray(all_labels, dtype=np.float64).ravel(), -1, 1)
+    counts, edges = np.histogram(pooled, bins=_BINS, range=(-1, 1))
+    centres = (edges[1:] + edges[:-1]) / 2
+
+    with figure_file(file, COLUMN, 1.85) as figure:
+        cells = scene_cells(figure, scene, 2, height=1.35, margin=0.6)
+        axes = scene_axes(figure, cells[0], scene, target, trajectories)
+        add_lines(
+            axes, trajectories[order], colors=_COLORS(LABELS(labels[order])),
+            linewidths=float(np.clip(9 / num**0.5, 0.35, 1.2)), rasterized=num > 300,
+        )  # fmt: skip
+        panel = figure.add_subplot(cells[1], xlim=(-1, 1), xlabel=r"legibility $\ell$")
+        panel.bar(centres, counts / len(pooled), 1.7 / _BINS, color=_COLORS(LABELS(centres)))
+        panel.axhline(1 / _BINS, color=INK, lw=0.7, ls=DASHED)
+        panel.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+        label_ticks(panel.xaxis)
+        panel.set_title(f"{len(pooled):,} trajectories".replace(",", "\N{NARROW NO-BREAK SPACE}"))
+        name_ends(figure, axes, scene, target, trajectories)

@@ -31,10 +31,7 @@ def spectrum_figure(spectra: Sequence[Spectrum], file: str | FilePath) -> None:
 
     Args:
         spectra: one for each row.
-        file: .png, .pdf or .svg.
-
-    Raises:
-        OutputError: another suffix, or the file cannot be written.
+        file: see `figure_file`.
     """
     with figure_file(file, PAGE, _HEIGHT * len(spectra)) as figure:
         cells = figure.add_gridspec(len(spectra), 2, width_ratios=[_SHARE, 1 - _SHARE])

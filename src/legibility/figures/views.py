@@ -42,12 +42,9 @@ class DrawnView:
         self.moving = [*front, self.halo, self.trail, plan, self.spot, self.robot]
 
     def show(self, step: int, tints: Array, confident: int | None) -> None:
-        """Draw the state after `step` control steps.
+        """Draw the state after `step` control steps, with a trail in the colours `tints (step, 3)`.
 
-        Args:
-            step: the number of control steps.
-            tints: `(step, 3)`, colours of the trail.
-            confident: the step from which the observer is confident, once it is reached.
+        `confident` is the step from which the observer is confident, once it is reached.
         """
         seen = self.states[: step + 1]
         self.halo.set_data(*seen.T)

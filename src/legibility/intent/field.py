@@ -1,27 +1,21 @@
-"""The information potential field: how well each point tells the target from the other goals."""
+"""The information potential field: how clearly each point reveals the target."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import (
-    Array,
-    count,
-    finite_array,
-    goals_array,
-    positive,
-    prior_array,
-    target_index,
-)
+from ..checks import Array, count, finite_array, goals_array, positive, prior_array, target_index
 from ..errors import InvalidInputError
 
 __all__ = ["InformationPotentialField", "potential_of_odds"]
 
 
+@dataclass(frozen=True, eq=False, init=False)
 class InformationPotentialField:
     """The posterior over goals of a Gaussian likelihood around each (paper, section V.A).
 
@@ -31,47 +25,39 @@ class InformationPotentialField:
     Args:
         goals: `(G, D)` [m], G ≥ 2.
         sigma: spread σ of the likelihood [m].
-        prior: `(G,)`, the observer's P(g) before any motion; uniform if not given;
-            normalised.
+        prior: `(G,)`, P(g) before any motion, normalised; uniform if not given.
 
     Raises:
         InvalidInputError: fewer than two goals, σ ≤ 0, a prior that is not positive.
     """
 
+    goals: Array
+    sigma: float
+    prior: Array
+    _origin: Array
+    _slope: Array
+    _intercept: Array
+
     def __init__(self, goals: ArrayLike, sigma: float, prior: ArrayLike | None = None) -> None:
-        self._goals = goals_array(goals).copy()
-        self._sigma = positive("sigma", sigma)
-        self._prior = prior_array(prior, len(self.goals))
-        for array in (self._goals, self._prior):
-            array.setflags(write=False)
+        goals, sigma = goals_array(goals).copy(), positive("sigma", sigma)
+        prior = prior_array(prior, len(goals))
+        goals.setflags(write=False)
+        prior.setflags(write=False)
         # ‖x − g‖² without the term that all goals share, about their mean: exact far away too.
-        self._origin = self.goals.mean(axis=0)
-        offsets = self.goals - self._origin
+        origin = goals.mean(axis=0)
+        offsets = goals - origin
         with np.errstate(all="ignore"):
-            variance = np.float64(self.sigma) ** 2
-            self._slope = offsets.T / variance
-            self._intercept = np.log(self.prior) - (offsets**2).sum(-1) / (2 * variance)
-        if not (np.isfinite(self._slope).all() and np.isfinite(self._intercept).all()):
+            variance = np.float64(sigma) ** 2
+            slope = offsets.T / variance
+            intercept = np.log(prior) - (offsets**2).sum(-1) / (2 * variance)
+        if not (np.isfinite(slope).all() and np.isfinite(intercept).all()):
             raise InvalidInputError(
                 f"sigma must not vanish beside the goals' distances, got {sigma}"
             )
-        if not self._slope.any():
+        if not slope.any():
             raise InvalidInputError(f"sigma must tell the goals apart, got {sigma}")
-
-    @property
-    def goals(self) -> Array:
-        """`(G, D)` [m]."""
-        return self._goals
-
-    @property
-    def sigma(self) -> float:
-        """σ [m]."""
-        return self._sigma
-
-    @property
-    def prior(self) -> Array:
-        """`(G,)`, P(g)."""
-        return self._prior
+        vars(self).update(goals=goals, sigma=sigma, prior=prior)
+        vars(self).update(_origin=origin, _slope=slope, _intercept=intercept)
 
     @property
     def num_goals(self) -> int:
@@ -86,7 +72,8 @@ class InformationPotentialField:
     @np.errstate(under="ignore")
     def log_posterior(self, x: ArrayLike) -> Array:
         """`log P(g|x)` for every goal, `(..., G)`, of points `(..., D)` [m]."""
-        logits = self._logits(finite_array("x", x, min_ndim=1, last=self.dim))
+        x = finite_array("x", x, min_ndim=1, last=self.dim)
+        logits = (x - self._origin) @ self._slope + self._intercept
         logits -= logits.max(axis=-1, keepdims=True)  # log 2 is lost beside a large number
         return logits - np.logaddexp.reduce(logits, axis=-1, keepdims=True)
 
@@ -102,26 +89,19 @@ class InformationPotentialField:
         Finite for every finite x, and exact to rounding where it is tiny.
         """
         target = target_index(target, self.num_goals)
-        return self._potential(finite_array("x", x, min_ndim=1, last=self.dim), target)
-
-    def _logits(self, x: Array) -> Array:
-        return (x - self._origin) @ self._slope + self._intercept
-
-    def _potential(self, x: Array, target: int) -> Array:
-        """`potential` of checked points."""
-        slope = np.delete(self._slope, target, axis=1) - self._slope[:, target, None]
-        intercept = np.delete(self._intercept, target) - self._intercept[target]
+        x = finite_array("x", x, min_ndim=1, last=self.dim)
+        slope = self._slope - self._slope[:, target, None]
+        intercept = self._intercept - self._intercept[target]
+        offset = x - self._origin
         # One distractor at a time: sums over a short last axis are slow in NumPy.
-        return potential_of_odds(
-            [(x - self._origin) @ slope[:, g] + intercept[g] for g in range(len(intercept))]
-        )
+        others = (g for g in range(self.num_goals) if g != target)
+        return potential_of_odds([offset @ slope[:, g] + intercept[g] for g in others])
 
     def grid(self, workspace: ArrayLike, resolution: int, target: int) -> Array:
         """φ at the centres of a uniform grid over `workspace (2, D)` [m].
 
-        Returns:
-            `(H, W)` in 2D, with y along H and x along W; `(D, H, W)` in 3D, with z along the depth
-            slices, which are the image's channels (paper, section V.A).
+        `(H, W)` in 2D, with y along H and x along W; `(D, H, W)` in 3D, with z along the depth
+        slices, which are the image's channels (paper, section V.A).
         """
         workspace = finite_array("workspace", workspace, ndim=2, last=self.dim)
         resolution = count("resolution", resolution)

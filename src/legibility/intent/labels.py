@@ -1,4 +1,7 @@
-"""Labels ℓ in [−1, 1]: the rank of a score among those of one scene and target."""
+"""Labels ℓ in [−1, 1]: the rank of a score among those of one scene and target.
+
+`scores` are `(N,)` of one scene and target, higher = more legible.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,7 @@ LABELS = ("anchored", "rank")
 def rank_label(scores: ArrayLike) -> Array:
     """`ℓ = 2·rank/(N − 1) − 1` (paper, section V.B), `(N,)`; equal scores share their mean rank.
 
-    Args:
-        scores: `(N,)` of one scene and target, higher = more legible.
-
-    Returns:
-        −1 for the most ambiguous and 1 for the most legible; 0 if there is only one score.
+    −1 is the most ambiguous and 1 the most legible of `scores (N,)`; a single score is 0.
     """
     scores = _scores(scores)
     if len(scores) == 1:
@@ -34,10 +33,6 @@ def anchored_label(scores: ArrayLike, straight_score: float) -> Array:
 
     The n scores above the straight line's are labelled 1/n, 2/n, …, 1 in rising order, those below
     −1/n, −2/n, …, −1 in falling order; equal scores share their mean rank.
-
-    Args:
-        scores: `(N,)` of one scene and target, higher = more legible.
-        straight_score: the score of the straight line from start to target.
     """
     scores = _scores(scores)
     straight = float(finite_array("straight_score", straight_score, ndim=0))
@@ -65,8 +60,7 @@ def label_knots(scores: ArrayLike, labels: ArrayLike) -> tuple[Array, Array]:
 def _mean_rank(values: Array) -> Array:
     """Ranks from 0; equal values share their mean rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts) - 1
-    return (last - (counts - 1) / 2)[inverse]
+    return (np.cumsum(counts) - 1 - (counts - 1) / 2)[inverse]
 
 
 def _scores(scores: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""The observer: who watches a motion, how they read a position, and what ℓ means to them."""
+"""The observer of a motion: the likelihood of a position, the score's weights, the label's rule."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PAPER_SIGMA = {2: 0.15, 3: 0.08}
 
 @dataclass(frozen=True)
 class Observer:
-    """Everything that fixes the meaning of ℓ, apart from the scene itself.
+    """All parameters of ℓ except the scene.
 
     Attributes:
         sigma: spread σ of each goal's likelihood [m]; if not given, the paper's: 0.15 m in 2-D,

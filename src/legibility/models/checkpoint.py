@@ -15,8 +15,6 @@ from torch import Tensor, nn
 from ..errors import CheckpointError
 from ..files import write_bytes
 
-__all__ = ["load_state", "load_tensors", "save_tensors"]
-
 
 def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], header: Any = None) -> None:
     """Write `tensors` and a JSON `header` to `path`, atomically; the order of `tensors` is free."""

@@ -11,12 +11,21 @@ from ..curves import NUM_WAYPOINTS
 from ..errors import CheckpointError, InvalidInputError
 from ..intent.observer import Observer
 
-__all__ = ["ActionConfig", "GoalPolicyConfig", "PathDiffuserConfig", "PathPolicyConfig"]
+
+def at_most(name: str, value: Any, most: int) -> None:
+    """Raise unless `value` is an integer from 1 to `most`."""
+    if count(name, value) > most:
+        raise InvalidInputError(f"{name} must be at most {most}, got {value}")
+
+
+def _multiple_of_8(name: str, value: Any) -> None:
+    if count(name, value) % 8:
+        raise InvalidInputError(f"{name} must be a multiple of 8, got {value}")
 
 
 @dataclass(frozen=True)
 class _NetworkConfig:
-    """What all settings share: the dimension, the sampler, and the form in `config.json`."""
+    """The shared settings: the dimension, the sampler, and the form in `config.json`."""
 
     dim: int = 2
     channels: tuple[int, ...] = ()
@@ -28,14 +37,11 @@ class _NetworkConfig:
         if self.dim not in (2, 3):
             raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
         for width in self.channels:
-            if count("channels", width) % 8:
-                raise InvalidInputError(f"channels must be multiples of 8, got {width}")
+            _multiple_of_8("channels", width)
         count("condition", self.condition)
-        count("diffusion_steps", self.diffusion_steps)
-        if count("sampling_steps", self.sampling_steps) > self.diffusion_steps:
-            raise InvalidInputError(
-                f"sampling_steps must be at most {self.diffusion_steps}, got {self.sampling_steps}"
-            )
+        at_most(
+            "sampling_steps", self.sampling_steps, count("diffusion_steps", self.diffusion_steps)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for `config.json`."""
@@ -50,7 +56,10 @@ class _NetworkConfig:
                 f"a {cls.__name__} has the settings {sorted(names)}; "
                 f"missing or unknown: {sorted(names ^ set(content))}"
             )
-        return cls(**{**content, "channels": tuple(content["channels"])})
+        values = {**content, "channels": tuple(content["channels"])}
+        if "observer" in names:
+            values["observer"] = Observer(**content["observer"])
+        return cls(**values)
 
 
 @dataclass(frozen=True)
@@ -98,18 +107,10 @@ class PathDiffuserConfig(_NetworkConfig):
                 )
         if not self.channels or NUM_WAYPOINTS % 2 ** (len(self.channels) - 1):
             raise InvalidInputError(f"channels must be of 1 to 4 levels, got {self.channels}")
-        for name in ("encoder_width", "resolution"):
-            if count(name, getattr(self, name)) % 8:
-                raise InvalidInputError(
-                    f"{name} must be a multiple of 8, got {getattr(self, name)}"
-                )
+        _multiple_of_8("encoder_width", self.encoder_width)
+        _multiple_of_8("resolution", self.resolution)
         positive("squash", self.squash)
         bounded("guidance", self.guidance, -1e3, 1e3)
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Self:
-        """The inverse of `to_dict`; keys must match exactly."""
-        return super().from_dict({**content, "observer": Observer(**content["observer"])})
 
 
 @dataclass(frozen=True)
@@ -135,13 +136,13 @@ class ActionConfig(_NetworkConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         positive("limit", self.limit)
-        if not self.channels or count("chunk", self.chunk) % 2 ** (len(self.channels) - 1):
+        halved = 2 ** max(0, len(self.channels) - 1)
+        if not self.channels or count("chunk", self.chunk) % halved:
             raise InvalidInputError(
-                f"chunk must be a multiple of {2 ** max(0, len(self.channels) - 1)}, "
-                f"got {self.chunk} with channels {self.channels}"
+                f"chunk must be a multiple of {halved}, got {self.chunk} with channels "
+                f"{self.channels}"
             )
-        if count("execute", self.execute) > self.chunk:
-            raise InvalidInputError(f"execute must be at most {self.chunk}, got {self.execute}")
+        at_most("execute", self.execute, self.chunk)
 
 
 @dataclass(frozen=True)

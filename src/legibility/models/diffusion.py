@@ -8,8 +8,6 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-__all__ = ["ddim", "noise_schedule", "noised", "sampling_timesteps", "standard_normal"]
-
 
 def noise_schedule(diffusion_steps: int) -> Tensor:
     """ᾱ `(diffusion_steps,)`: squared cosine (Nichol & Dhariwal 2021), zero terminal signal."""

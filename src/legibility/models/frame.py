@@ -1,13 +1,13 @@
 """The frame in which the networks see a scene: the start is the origin, the target (1, 0, …).
 
-Whatever is left of a scene in this frame (where the distractors pull, how far the walls are, how
-wide the observer's likelihood is) is what a network must know, and nothing else: it need not learn
-that a scene may be moved, turned or scaled.
+A network that sees only this frame (where the distractors pull, how far the walls are, how wide the
+observer's likelihood is) need not learn that a scene may be moved, turned or scaled.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,18 +17,8 @@ from ..errors import InvalidSceneError
 from ..intent.field import InformationPotentialField, potential_of_odds
 from ..scene import DEFAULT_WORKSPACE, Scene
 
-__all__ = [
-    "Frame",
-    "axes_along",
-    "check_scale",
-    "scene_image",
-    "scene_odds",
-    "scene_vector",
-    "vector_size",
-]
-
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
-"""What of the frame an image shows along each axis, in lengths of the straight line."""
+"""The part of the frame in an image along each axis, in lengths of the straight line."""
 
 LARGEST_SCALE = 4.0
 """A scene may be this many times larger or smaller than those of training; there the dial's mean
@@ -83,9 +73,9 @@ def check_scale(scene: Scene, name: str) -> None:
     Raises:
         InvalidSceneError: its points are too far apart or its workspace is too small.
     """
-    trained = float(np.linalg.norm(np.diff(DEFAULT_WORKSPACE[scene.dim], axis=0)))
-    points = np.concatenate([scene.start[None], scene.goals])
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    trained = math.dist(*DEFAULT_WORKSPACE[scene.dim])
+    high = np.maximum(scene.start, scene.goals.max(axis=0))
+    size = math.dist(high, np.minimum(scene.start, scene.goals.min(axis=0)))
     if scene.diagonal < trained / LARGEST_SCALE or size > trained * LARGEST_SCALE:
         part, size = ("scene", size) if size > trained else ("workspace", scene.diagonal)
         raise InvalidSceneError(
@@ -111,7 +101,6 @@ def axes_along(direction: np.ndarray) -> np.ndarray:
     return np.stack([forward, side, np.cross(forward, side)], -2)
 
 
-@np.errstate(under="ignore")
 def scene_image(
     scene: Scene, target: int, field: InformationPotentialField, resolution: int
 ) -> np.ndarray:
@@ -152,9 +141,8 @@ def _grid(dim: int, resolution: int) -> Array:
     return grid
 
 
-@np.errstate(under="ignore")
 def scene_vector(scene: Scene, target: int, field: InformationPotentialField) -> np.ndarray:
-    """What an image cannot show exactly: the workspace's centre and half-axes in the frame, and σ.
+    """Exact values beside the image: the workspace's centre and half-axes in the frame, and σ.
 
     Returns:
         `(vector_size(D),)` float32.
@@ -162,15 +150,11 @@ def scene_vector(scene: Scene, target: int, field: InformationPotentialField) ->
     frame = Frame.of(scene, target)
     low, high = scene.workspace
     half = (high - low) / 2 / frame.scale
-    parts = [
-        frame.world_to_frame((low + high) / 2),
-        (frame.rotation * half).ravel(),
-        [np.log(frame.scale / field.sigma)],
-    ]
-    return np.concatenate(parts).astype(np.float32)
+    centre, axes = frame.world_to_frame((low + high) / 2), frame.rotation * half
+    width = math.log(frame.scale / field.sigma)
+    return np.array([*centre, *axes.flat, width], dtype=np.float32)
 
 
-@np.errstate(under="ignore")
 def scene_odds(
     scene: Scene, target: int, field: InformationPotentialField
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -189,7 +173,8 @@ def _odds(scene: Scene, target: int, field: InformationPotentialField) -> tuple[
     """`scene_odds` in full precision."""
     corners = np.concatenate([np.zeros((1, scene.dim)), np.eye(scene.dim)])
     log_posterior = field.log_posterior(Frame.of(scene, target).frame_to_world(corners))
-    odds = np.delete(log_posterior, target, axis=1) - log_posterior[:, [target]]
+    others = [g for g in range(scene.num_goals) if g != target]
+    odds = log_posterior[:, others] - log_posterior[:, [target]]
     return (odds[1:] - odds[0]).T, odds[0]
 
 

@@ -11,21 +11,18 @@ import torch
 from torch import Tensor, nn
 
 from ..checks import Array
-from .actions import ActionDenoiser
 from .configuration import GoalPolicyConfig
 from .diffusion import ddim, sampling_timesteps
-from .path_policy import compressed
-
-__all__ = ["GoalPolicy", "goal_features", "guidance_weights"]
+from .path_policy import ActionDenoiser, compressed
 
 
 def goal_features(
     positions: Array, previous: Array, goals: Array | None, limit: float, workspace: Array
 ) -> np.ndarray:
-    """What the policy sees of `B` robots, `(B, F)` float32, in the world's axes.
+    """The policy's inputs of `B` robots, `(B, F)` float32, in the world's axes.
 
     The last displacement (with the position, the two past states) and the way to the goal in
-    limits, and the place in the workspace. What does not depend on the goal does not tell it.
+    limits, and the place in the workspace. The other features carry no information about the goal.
 
     Args:
         positions: `(B, D)` [m].
@@ -53,8 +50,8 @@ def guidance_weights(guidance: Array, share: float, others: np.ndarray) -> Array
         others: `(B, M)` bool, which of the other goals there are; at least one in each.
     """
     w = guidance[:, None]
-    each = others / others.sum(axis=1, keepdims=True)
-    return np.concatenate([1 + w, -share * w * each, -(1 - share) * w], axis=1, dtype=np.float64)
+    shares = others / others.sum(axis=1, keepdims=True)
+    return np.concatenate([1 + w, -share * w * shares, -(1 - share) * w], axis=1, dtype=np.float64)
 
 
 class GoalPolicy(ActionDenoiser):

@@ -8,8 +8,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-__all__ = ["DistractorEncoder", "FiLMUNet", "FieldEncoder", "Residual", "fourier"]
-
 _GROUPS = 8
 
 

@@ -28,8 +28,6 @@ from ..scene import Scene
 from .path_diffuser import Conditions, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-__all__ = ["OnnxPathDiffuser", "OnnxPathPolicy", "export_graph", "load_graph"]
-
 _VERSION = 2
 """Of what the graphs compute; a new one makes stored graphs be exported again."""
 
@@ -40,11 +38,11 @@ _TRACED = (
 """Settings that a graph depends on."""
 
 
-class OnnxPathDiffuser:
-    """Draws the paths of `PathDiffuser.sample`, to rounding.
+class _OnnxStage:
+    """A stage in onnxruntime, with its own steps and guidance and its present weights.
 
     Args:
-        model: stage 1; later changes of its weights are not seen.
+        model: the stage; later changes of its weights are not seen.
         graph: see `load_graph`.
 
     Raises:
@@ -52,12 +50,27 @@ class OnnxPathDiffuser:
         MissingExtraError: onnxruntime is not installed.
     """
 
-    def __init__(self, model: PathDiffuser, graph: bytes) -> None:
-        self.model, self.graph = model, graph
+    def __init__(self, model: Any, graph: bytes) -> None:
+        self.model, self.graph, self.config = model, graph, model.config
         self._session, self._weights = _session(model, graph)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.model, self.graph)  # a session cannot go to another process
+
+    def _run(self, options: dict[str, float | None], **inputs: np.ndarray) -> np.ndarray:
+        """The output for `inputs`; raises if the options differ from the model's."""
+        for name, value in options.items():
+            fixed = getattr(self.config, name)
+            if value is not None and value != fixed:
+                raise InvalidInputError(
+                    f"{name.removeprefix('sampling_')} must be the model's own {fixed:g} with "
+                    f"backend 'onnx', got {value:g}; backend 'torch' takes others"
+                )
+        return self._session.run(None, inputs)[0]
+
+
+class OnnxPathDiffuser(_OnnxStage):
+    """Draws the paths of `PathDiffuser.sample`, to rounding; for its arguments see `_OnnxStage`."""
 
     def sample(
         self,
@@ -73,40 +86,19 @@ class OnnxPathDiffuser:
         Raises:
             InvalidInputError: the guidance or the steps are not the model's own.
         """
-        config, size = self.model.config, len(level)
-        _check_own("guidance", guidance, config.guidance)
-        _check_own("steps", steps, config.sampling_steps)
-        several = len(conditions.vector) > 1
-        feed = {
-            "image": conditions.image.numpy(),
-            "vector": conditions.vector.numpy(),
-            "slopes": conditions.slopes.numpy(),
-            "intercepts": conditions.intercepts.numpy(),
-            "scene": np.arange(size) if several else np.zeros(size, dtype=np.int64),
-            "level": level.numpy(),
-            "noise": noise.numpy(),
-        }
-        return torch.from_numpy(self._session.run(None, feed)[0])
+        size, several = len(level), len(conditions.vector) > 1
+        waypoints = self._run(
+            {"guidance": guidance, "sampling_steps": steps},
+            **{name: tensor.numpy() for name, tensor in vars(conditions).items()},
+            scene=np.arange(size) if several else np.zeros(size, dtype=np.int64),
+            level=level.numpy(),
+            noise=noise.numpy(),
+        )
+        return torch.from_numpy(waypoints)
 
 
-class OnnxPathPolicy:
-    """Acts as `PathPolicy` does, to rounding.
-
-    Args:
-        model: stage 2; later changes of its weights are not seen.
-        graph: see `load_graph`.
-
-    Raises:
-        CheckpointError: the graph does not run.
-        MissingExtraError: onnxruntime is not installed.
-    """
-
-    def __init__(self, model: PathPolicy, graph: bytes) -> None:
-        self.model, self.graph, self.config = model, graph, model.config
-        self._session, self._weights = _session(model, graph)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.model, self.graph)
+class OnnxPathPolicy(_OnnxStage):
+    """Acts as `PathPolicy` does, to rounding; for its arguments see `_OnnxStage`."""
 
     def act(self, observation: Observation, noise: Tensor, steps: int | None = None) -> Array:
         """See `PathPolicy.act`.
@@ -114,22 +106,13 @@ class OnnxPathPolicy:
         Raises:
             InvalidInputError: the steps are not the model's own.
         """
-        _check_own("steps", steps, self.config.sampling_steps)
-        feed = {
-            "features": observation.features,
-            "has_path": observation.has_path,
-            "noise": noise.numpy(),
-        }
-        actions = self._session.run(None, feed)[0].astype(np.float64)
-        return actions * self.config.limit @ observation.rotation
-
-
-def _check_own(name: str, value: float | None, own: float) -> None:
-    if value is not None and value != own:
-        raise InvalidInputError(
-            f"{name} must be the model's own {own:g} with backend 'onnx', got {value:g}; "
-            "backend 'torch' takes others"
+        actions = self._run(
+            {"sampling_steps": steps},
+            features=observation.features,
+            has_path=observation.has_path,
+            noise=noise.numpy(),
         )
+        return actions.astype(np.float64) * self.config.limit @ observation.rotation
 
 
 def load_graph(model: PathDiffuser | PathPolicy, folder: str | Path | None = None) -> bytes:

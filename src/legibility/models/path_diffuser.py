@@ -18,8 +18,6 @@ from .diffusion import ddim, sampling_timesteps
 from .frame import DEPTH, FIELD_CHANNELS, scene_image, scene_odds, scene_vector, vector_size
 from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fourier
 
-__all__ = ["Conditions", "PathDiffuser"]
-
 NO_ODDS = -1e4
 LEVEL_FREQUENCIES = 12
 TIME_FREQUENCIES = 16
@@ -27,7 +25,7 @@ TIME_FREQUENCIES = 16
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What the network sees of `B` scenes, in their start–target frames.
+    """The network's inputs of `B` scenes, in their start–target frames.
 
     Attributes:
         image: `(B, C, H, W)`, see `scene_image`.
@@ -43,10 +41,11 @@ class Conditions:
     intercepts: Tensor
 
     @classmethod
+    @np.errstate(under="ignore")
     def of(
         cls, scenes: list[Scene], targets: list[int], observer: Observer, resolution: int
     ) -> Conditions:
-        """Of `scenes`, with goal `targets[i]` as the target of the i-th."""
+        """The inputs of `scenes`, with goal `targets[i]` as the target of the i-th."""
         most = max(scene.num_goals for scene in scenes) - 1
         images, vectors = [], []
         slopes = np.zeros((len(scenes), most, scenes[0].dim), dtype=np.float32)
@@ -61,7 +60,7 @@ class Conditions:
         return cls(*map(torch.from_numpy, arrays))
 
     def without_image(self) -> Conditions:
-        """The same with an image of no pixels, for what does not encode the scene."""
+        """The same with an image of no pixels, to save copies after the scene is encoded."""
         return Conditions(self.image[:, :0], self.vector, self.slopes, self.intercepts)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Conditions:
@@ -139,7 +138,7 @@ class PathDiffuser(nn.Module):
         self.register_buffer("straight", straight, persistent=False)
 
     def conditions(self, scenes: list[Scene], targets: list[int]) -> Conditions:
-        """What the network sees of `scenes`, goal `targets[i]` meant in the i-th."""
+        """`Conditions.of` for the model's observer and resolution."""
         return Conditions.of(scenes, targets, self.config.observer, self.config.resolution)
 
     def encode_scene(self, conditions: Conditions, keep: Tensor | None = None) -> Tensor:
@@ -152,7 +151,7 @@ class PathDiffuser(nn.Module):
         return self.scene(features + self.place(conditions.vector))
 
     def _without_field(self, conditions: Conditions) -> Tensor:
-        """What `encode_scene` gives where the field is dropped, without drawing on the image."""
+        """The result of `encode_scene` where the field is dropped; it needs no image."""
         return self.scene(self.no_field + self.place(conditions.vector))
 
     def encode(self, scene: Tensor, level: Tensor, keep: Tensor | None = None) -> Tensor:
@@ -172,8 +171,8 @@ class PathDiffuser(nn.Module):
     ) -> Tensor:
         """The velocity v (Salimans & Ho 2022), `(B, K, D)`.
 
-        Besides the noisy waypoints themselves, the U-Net reads the field at them: its potential and
-        gradient (unless the model is one without the field), and the distance to the nearest wall.
+        The U-Net reads the noisy waypoints, the field's potential and gradient there (unless the
+        model is one without the field), and the distance to the nearest wall.
 
         Args:
             noisy: `(B, K, D)`, noisy latent.
@@ -239,7 +238,7 @@ class PathDiffuser(nn.Module):
         """
         with torch.autocast(noise.device.type, enabled=False):
             scene = self.encode_scene(conditions)
-            return self.draw(conditions, scene, level, noise, guidance=guidance, steps=steps)
+            return self.draw(conditions, scene, level, noise, guidance, steps)
 
     def draw(
         self,
@@ -247,7 +246,6 @@ class PathDiffuser(nn.Module):
         scene: Tensor,
         level: Tensor,
         noise: Tensor,
-        *,
         guidance: float | None = None,
         steps: int | None = None,
     ) -> Tensor:

@@ -1,4 +1,7 @@
-"""Stage 2, the path-guided diffusion policy: two states, goal and path to actions (paper, V.C)."""
+"""Stage 2, the path-guided diffusion policy: two states, goal and path to actions (paper, V.C).
+
+`ActionDenoiser` is shared with the baselines' policy.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,15 @@ from torch import Tensor, nn
 
 from ..checks import Array
 from ..motion.tracking import PathTracker
-from .actions import ActionDenoiser
-from .configuration import PathPolicyConfig
+from .configuration import ActionConfig, PathPolicyConfig
 from .diffusion import ddim, sampling_timesteps
 from .frame import axes_along
-
-__all__ = ["Observation", "PathPolicy"]
+from .networks import FiLMUNet, Residual, fourier
 
 _AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Arc lengths ahead, in limits, at which the policy sees the path: as far as a chunk gets."""
+
+_TIME_FREQUENCIES = 8
 
 _REACH = 4.0
 """Beyond this many limits distances are compressed."""
@@ -26,11 +29,11 @@ _REACH = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What the policy sees of `B` robots, each in a frame of its own.
+    """The policy's inputs of `B` robots, each in a frame at the robot.
 
-    The origin is the robot; the first axis is the path's direction there, or where there is no path
-    the goal's. Lengths are in limits. The place on the path is tracked, so however often a path
-    meets itself the robot sees the stretch that it is on, about as far ahead as a chunk can get.
+    The first axis is the path's direction there, or without a path the goal's. Lengths are in
+    limits. The place on the path is tracked: however often a path meets itself, the robot sees the
+    stretch that it is on, about as far ahead as a chunk can get.
 
     Attributes:
         features: `(B, F)` float32: last displacement (with the position, the two past states), the
@@ -52,14 +55,14 @@ class Observation:
         limit: float,
         tracker: PathTracker | None = None,
     ) -> Observation:
-        """Of robots at `positions (B, D)` [m] that were at `previous (B, D)` [m] one step before.
+        """The inputs of `B` robots.
 
         Args:
             positions: `(B, D)` [m].
-            previous: `(B, D)` [m].
+            previous: `(B, D)` [m], one step before.
             goals: `(B, D)` [m], the targets.
             limit: largest displacement of an action [m].
-            tracker: where they are on their paths; without one they are to reach the goal anyhow.
+            tracker: their places on their paths; without it they see only the goal.
         """
         size, dim = positions.shape
         to_goal = goals - positions
@@ -96,6 +99,46 @@ def compressed(vectors: Array) -> Array:
     """Vectors `(..., D)` whose length grows like the logarithm beyond `_REACH`, over `_REACH`."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True) / _REACH
     return vectors / _REACH * np.arcsinh(length) / np.maximum(length, 1e-9)
+
+
+class ActionDenoiser(nn.Module):
+    """A U-Net over a chunk of actions, in limits and over `scale`, that a context modulates.
+
+    Args:
+        config: its shape.
+        inputs: F, features of an observation.
+    """
+
+    def __init__(self, config: ActionConfig, inputs: int) -> None:
+        super().__init__()
+        size = config.condition
+        self.steps = config.diffusion_steps
+        self.observe = nn.Linear(inputs, size)
+        self.fuse = nn.Sequential(Residual(size), Residual(size))
+        self.time = nn.Sequential(
+            nn.Linear(2 * _TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
+        )
+        self.unet = FiLMUNet(config.dim, config.dim, config.channels, size)
+        self.scale: Tensor  # of the actions over the data, set by training
+        self.register_buffer("scale", torch.ones(()))
+        self.signal: Tensor  # ᾱ at each diffusion step, set by training
+        self.register_buffer("signal", torch.ones(config.diffusion_steps))
+
+    def _encode(self, features: Tensor, guided: Tensor, nothing: Tensor) -> Tensor:
+        """`(B, E)` of `features (B, F)`; `nothing (E,)` stands for what is not `guided (B,)`."""
+        return self.fuse(self.observe(features) + torch.where(guided[:, None], 0.0, nothing))
+
+    def forward(self, noisy: Tensor, timestep: Tensor, context: Tensor) -> Tensor:
+        """The velocity v (Salimans & Ho 2022), `(B, chunk, D)`.
+
+        Args:
+            noisy: `(B, chunk, D)`, noisy actions over `scale`.
+            timestep: `(B,)` int, of the noise schedule, or `(1,)` for all.
+            context: `(B, E)` of what is observed.
+        """
+        time = timestep.float() / self.steps * 2 - 1
+        condition = nn.functional.silu(context + self.time(fourier(time, _TIME_FREQUENCIES)))
+        return self.unet(noisy, condition)
 
 
 class PathPolicy(ActionDenoiser):

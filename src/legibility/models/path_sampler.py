@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..checks import Array, count, finite_array
+from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
 from ..errors import CheckpointError, InvalidInputError
 from ..intent.metrics import SCORE_POINTS
+from ..motion.path import straight_waypoints
 from ..scene import Scene
-from .configuration import PathDiffuserConfig
+from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
 from .frame import Frame
 from .path_diffuser import PathDiffuser
-
-__all__ = ["PathSampler", "Sampling"]
 
 _RETRIES = 3
 _STEP_BACK = 0.03
@@ -43,9 +42,9 @@ class Sampling(NamedTuple):
         """The same; raises if a model of these settings cannot sample so."""
         guidance, steps = self
         if guidance is not None:
-            guidance = float(finite_array("guidance", guidance, ndim=0))
-        if steps is not None and count("steps", steps) > config.diffusion_steps:
-            raise InvalidInputError(f"steps must be at most {config.diffusion_steps}, got {steps}")
+            guidance = bounded("guidance", guidance, -1e3, 1e3)
+        if steps is not None:
+            at_most("steps", steps, config.diffusion_steps)
         fixed = config.guidance, config.sampling_steps
         if config.distilled and (guidance not in (None, fixed[0]) or steps not in (None, fixed[1])):
             raise InvalidInputError(
@@ -86,16 +85,12 @@ class PathSampler:
         generator = torch.Generator("cpu").manual_seed(seed)
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         level = torch.from_numpy(levels.astype(np.float32))
-        options: dict[str, Any] = sampling._asdict()
-        waypoints = self.sample(
-            self.model.conditions(list(scenes), list(targets)), level, noise, **options
-        )
-        if not torch.isfinite(waypoints).all():
+        conditions = self.model.conditions(list(scenes), list(targets))
+        waypoints = self.sample(conditions, level, noise, **sampling._asdict()).double().numpy()
+        if not np.isfinite(waypoints).all():
             raise CheckpointError(f"the model {self.name} drew a path that is not finite")
-        waypoints = waypoints.double().numpy()
         paths = np.empty((size, NUM_WAYPOINTS + 2, dim))
-        rows = [slice(None)] if len(scenes) == 1 else list(range(size))
-        for row, scene, target in zip(rows, scenes, targets, strict=True):
+        for row, scene, target in _rows(scenes, targets, size):
             paths[row, 1:-1] = Frame.of(scene, target).frame_to_world(waypoints[row])
             paths[row, 0], paths[row, -1] = scene.start, scene.goals[target]
         return paths
@@ -135,12 +130,20 @@ class PathSampler:
     ) -> NDArray[np.intp]:
         """Indices of the paths that are clearly on the other side of the straight line than ℓ."""
         ratio = np.empty(len(levels))
-        shared = len(scenes) == 1
-        rows = [slice(None)] if shared else [slice(i, i + 1) for i in range(len(levels))]
-        for row, scene, target in zip(rows, scenes, targets, strict=True):
-            straight = np.linspace(scene.start, scene.goals[target], SCORE_POINTS)
-            curves = np.clip(path_curve(paths[row], SCORE_POINTS), *scene.workspace)
-            curves = np.concatenate([curves, straight[None]])
-            costs = -self.config.observer.score(curves, scene, target)
-            ratio[row] = (costs[:-1] + _LEAST_COST) / (costs[-1] + _LEAST_COST)
+        for row, scene, target in _rows(scenes, targets, len(levels)):
+            straight = straight_waypoints(scene.start, scene.goals[target])
+            curves = path_curve(np.concatenate([paths[row], straight[None]]), SCORE_POINTS)
+            low, high = scene.workspace
+            inside = np.minimum(np.maximum(curves, low), high)  # quicker than np.clip
+            costs = _LEAST_COST - self.config.observer.score(inside, scene, target)
+            ratio[row] = costs[:-1] / costs[-1]
         return np.flatnonzero(np.log(ratio) * np.sign(levels) > _TOLERANCE)
+
+
+def _rows(
+    scenes: Sequence[Scene], targets: Sequence[int], size: int
+) -> Iterator[tuple[slice, Scene, int]]:
+    """Each scene with its target and the rows of a batch of `size` that lie in it."""
+    shared = len(scenes) == 1
+    rows = [slice(None)] if shared else [slice(i, i + 1) for i in range(size)]
+    return zip(rows, scenes, targets, strict=True)

@@ -17,13 +17,7 @@ from .path_diffuser import PathDiffuser
 from .path_policy import PathPolicy
 from .provenance import TrainingRecord
 
-__all__ = [
-    "load_stages",
-    "pretrained_folder",
-    "pretrained_names",
-    "save_stage",
-    "training_records",
-]
+__all__ = ["load_stages", "pretrained_folder", "pretrained_names", "save_stage", "training_records"]
 
 _FORMAT = 3
 
@@ -32,7 +26,7 @@ _STAGES: dict[str, Any] = {
     "policy": (PathPolicyConfig, PathPolicy),
     "goal": (GoalPolicyConfig, GoalPolicy),
 }
-"""Of each stage its settings and its network; `goal` is the baselines' one stage."""
+"""The settings and the network of each stage; `goal` is the baselines' one stage."""
 
 _WEIGHTS = Path(__file__).parent.parent / "weights"
 
@@ -109,8 +103,9 @@ def training_records(folder: Path) -> dict[str, TrainingRecord | None]:
     """
     try:
         return {
-            name: entry["training"] and TrainingRecord.from_dict(entry["training"])
+            name: None if record is None else TrainingRecord.from_dict(record)
             for name, entry in _read_config(folder).items()
+            for record in [entry["training"]]
         }
     except (TypeError, KeyError, AttributeError) as cause:
         raise CheckpointError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 __all__ = ["Source", "TeacherRecord", "TrainingRecord"]
@@ -53,8 +53,7 @@ class TrainingRecord(Source):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, without those that do not apply."""
-        content = {name: value for name, value in vars(self).items() if value is not None}
-        return content | ({"teacher": self.teacher.to_dict()} if self.teacher else {})
+        return asdict(self, dict_factory=_without_none)
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> TrainingRecord:
@@ -63,8 +62,11 @@ class TrainingRecord(Source):
         Raises:
             TypeError: a key is missing or unknown.
         """
-        teacher = content.get("teacher")
-        return cls(**{**content, "teacher": teacher and TeacherRecord.from_dict(teacher)})
+        if teacher := content.get("teacher"):
+            if training := teacher.get("training"):
+                teacher = {**teacher, "training": cls.from_dict(training)}
+            content = {**content, "teacher": TeacherRecord(**teacher)}
+        return cls(**content)
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,6 @@ class TeacherRecord:
     guidance: float
     training: TrainingRecord | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return {**vars(self), "training": self.training and self.training.to_dict()}
 
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> TeacherRecord:
-        """The inverse of `to_dict`."""
-        training = content["training"]
-        return cls(**{**content, "training": training and TrainingRecord.from_dict(training)})
+def _without_none(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in items if value is not None}

@@ -1,8 +1,8 @@
 """The quality-diversity archive: all ways to reach a goal, scored and labelled (paper, V.B).
 
 MAP-Elites (Mouret & Clune 2015) over cubic Béziers: random curves first, then variations of the
-elites until hardly any new cell fills. A cell is a place of the workspace, a curve belongs to the
-cell of its most deviating point, and a cell keeps its smoothest curve.
+elites until hardly any new cell fills. A curve belongs to the cell of the workspace that its most
+deviating point lies in, and a cell keeps its smoothest curve.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ __all__ = ["Archive", "CurveGrid", "build_archive", "random_controls"]
 
 _BATCH = 1024
 _REACH = 1 / 3
-"""How far beyond the workspace control points are drawn, as a share of its side. A cubic Bézier
-gets three quarters of the way to its control points, so this lets it touch the walls."""
+"""Margin around the workspace in which control points are drawn, as a share of its side: a cubic
+Bézier gets three quarters of the way to its control points, so it can touch the walls."""
 
 DEFAULT_CELLS = {2: 48, 3: 16}
 """Cells along each axis of the workspace, by dimension."""
@@ -40,7 +40,7 @@ class Archive:
     Attributes:
         scene: the scene.
         target: index of the intended goal.
-        observer: the one who scored and labelled them.
+        observer: whose scores and labels these are.
         controls: `(N, 4, D)` [m], control points of the cubic Béziers.
         trajectories: `(N, T, D)` [m], at equal arc length.
         descriptors: `(N, D)` [m], the most deviating point of each.
@@ -49,7 +49,7 @@ class Archive:
         labels: `(N,)` in [−1, 1].
         straight_score: the straight line's score, where the anchored label is 0.
         num_candidates: curves tried, including those that left the workspace.
-        cells_reached: cells that the most deviating point of any candidate fell into.
+        cells_reached: cells that any candidate fell into.
     """
 
     scene: Scene
@@ -82,11 +82,9 @@ class Archive:
     def label_of(self, scores: ArrayLike) -> Array:
         """The achieved label of any scores `(...)`: monotone in the score, clipped to [−1, 1].
 
-        Linear between the archive's own scores, through the straight line's at ℓ = 0 if anchored.
+        Linear between the archive's scores, through the straight line's at ℓ = 0 if anchored.
         """
-        scores = finite_array("scores", scores)
-        knots, labels = self._knots
-        return np.interp(scores, knots, labels)
+        return np.interp(finite_array("scores", scores), *self._knots)
 
     @np.errstate(under="ignore")
     def score_of(self, labels: ArrayLike) -> Array:
@@ -109,16 +107,10 @@ class Archive:
 
 
 class CurveGrid:
-    """MAP-Elites' container: a uniform grid over the workspace, the smoothest curve in each cell.
-
-    Args:
-        scene: gives the two ends and the workspace.
-        target: index of the intended goal.
-        cells: cells along each axis.
-    """
+    """MAP-Elites' container: `cells` along each axis of the workspace, each with its elite."""
 
     def __init__(self, scene: Scene, target: int, cells: int) -> None:
-        self.start, self.goal = scene.start, scene.target(target)
+        self.scene, self.goal = scene, scene.target(target)
         self.low, self.high = scene.workspace
         self.cells = cells
         size = cells**scene.dim
@@ -141,7 +133,7 @@ class CurveGrid:
     def add(self, controls: Array) -> int:
         """Place `controls (N, 4, D)`; returns how many cells were filled for the first time."""
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
-        descriptors = farthest_from_segment(trajectories, self.start, self.goal)
+        descriptors = farthest_from_segment(trajectories, self.scene.start, self.goal)
         in_bounds = ((descriptors >= self.low) & (descriptors <= self.high)).all(-1)
         cells = self.cell_of(descriptors)
         self.reached[cells[in_bounds]] = True
@@ -149,7 +141,7 @@ class CurveGrid:
         inside = ((least >= self.low) & (most <= self.high)).all(-1)
         controls, descriptors, cells = controls[inside], descriptors[inside], cells[inside]
         energies = bending_energy(controls)
-        # The smoothest of each cell in this batch, then against the cell's elite.
+        # The smoothest of each cell in this batch competes with the cell's elite.
         order = np.lexsort((energies, cells))
         cells, first = np.unique(cells[order], return_index=True)
         best = order[first]
@@ -178,13 +170,13 @@ def build_archive(
     Args:
         scene: the scene.
         target: index of the intended goal.
-        observer: the one who scores and labels them.
-        seed: of the random curves; None draws others each time.
+        observer: scores and labels the curves.
+        seed: of the random curves; None draws from the system's entropy.
         cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
         random_candidates: curves with random control points, drawn first.
         max_candidates: most curves in all.
-        patience: variation ends after four batches in a row that each fill fewer new cells than
-            this share of those filled.
+        patience: variation ends after four batches in a row whose new cells are fewer than this
+            share of those filled.
 
     Raises:
         InvalidInputError: an argument is out of its range.
@@ -203,16 +195,15 @@ def build_archive(
 
     rng = np.random.default_rng(seed)
     grid = CurveGrid(scene, target, cells)
-    straight = straight_controls(grid.start, grid.goal)
+    straight = straight_controls(scene.start, grid.goal)
     grid.add(straight[None])
     tried, idle = 1, 0
     while tried < max_candidates and idle < 4:
         size = min(_BATCH, max_candidates - tried)
         exploring = tried < random_candidates
+        draw = random_controls(rng, scene, size) if exploring else _varied_controls(rng, grid, size)
         controls = np.tile(straight, (size, 1, 1))
-        controls[:, 1:3] = (
-            random_controls(rng, scene, size) if exploring else _varied_controls(rng, grid, size)
-        )
+        controls[:, 1:3] = draw
         new = grid.add(controls)
         tried += size
         idle = 0 if exploring or new >= patience * len(grid.filled) else idle + 1
@@ -240,7 +231,7 @@ def build_archive(
 
 def random_controls(rng: np.random.Generator, scene: Scene, size: int) -> Array:
     """Inner control points `(size, 2, D)` drawn uniformly in bounds."""
-    low, high = _bounds(scene.workspace)
+    low, high = _bounds(scene)
     return rng.uniform(low, high, (size, 2, scene.dim))
 
 
@@ -249,7 +240,7 @@ def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Ar
 
     An elite is moved along its difference from another and by a little isotropic noise.
     """
-    low, high = _bounds(np.stack([grid.low, grid.high]))
+    low, high = _bounds(grid.scene)
     filled = grid.filled
     parents = grid.controls[rng.choice(filled, size)][:, 1:3]
     others = grid.controls[rng.choice(filled, size)][:, 1:3]
@@ -258,6 +249,7 @@ def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Ar
     return np.clip(parents + along * (others - parents) + noise, low, high)
 
 
-def _bounds(workspace: Array) -> tuple[Array, Array]:
-    margin = _REACH * (workspace[1] - workspace[0])
-    return workspace[0] - margin, workspace[1] + margin
+def _bounds(scene: Scene) -> tuple[Array, Array]:
+    low, high = scene.workspace
+    margin = _REACH * (high - low)
+    return low - margin, high + margin

@@ -9,8 +9,6 @@ import numpy as np
 from ..checks import Array
 from ..curves import equal_arc_positions
 
-__all__ = ["bending_energy", "bezier_points", "bezier_trajectories", "straight_controls"]
-
 _QUADRATURE_POINTS = 33
 """Parameters at which the arc length is tabulated."""
 
@@ -32,26 +30,20 @@ def bezier_points(controls: Array, num_points: int) -> Array:
 def bezier_trajectories(controls: Array, num_points: int) -> Array:
     """`(N, num_points, D)` at equal steps of arc length, of curves `controls (N, 4, D)` [m].
 
-    The arc length is tabulated at equal steps of the parameter and the parameter read off it; the
-    points themselves lie on the curve, the first and last exactly on its ends. In memory the
-    coordinates come first, so the array is not C-contiguous.
+    The parameter is read off a table of the arc length; the points lie on the curve, the first and
+    last exactly on its ends. In memory the coordinates come first: the array is not C-contiguous.
     """
     table = bezier_points(controls, _QUADRATURE_POINTS)
     steps = np.diff(table, axis=-2)
     cumulative = np.zeros(table.shape[:-1])
     np.cumsum(np.sqrt(np.einsum("...d,...d->...", steps, steps)), axis=-1, out=cumulative[..., 1:])
     u = equal_arc_positions(cumulative, num_points) / (_QUADRATURE_POINTS - 1)
-    # A coordinate at a time, each in one piece of memory: what reads them does so too.
+    # One coordinate at a time, contiguous in memory, as it is read.
     points = np.empty((controls.shape[-1], *u.shape))
     for d in range(len(points)):
-        own: Array = points[d]
         p0, p1, p2, p3 = (controls[:, i, d, None] for i in range(4))
-        np.multiply(u, p3 - p0 + 3 * (p1 - p2), out=own)
-        own += 3 * (p0 - 2 * p1 + p2)
-        own *= u
-        own += 3 * (p1 - p0)
-        own *= u
-        own += p0
+        cubic, quadratic, linear = p3 - p0 + 3 * (p1 - p2), 3 * (p0 - 2 * p1 + p2), 3 * (p1 - p0)
+        points[d] = ((u * cubic + quadratic) * u + linear) * u + p0
     points = np.moveaxis(points, 0, -1)
     points[..., -1, :] = controls[..., 3, :]
     return points

@@ -20,17 +20,15 @@ __all__ = ["Path", "scene_archive", "straight_waypoints"]
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """One path, or `B` of them, from the start of a scene to the intended goal.
+    """One path or `B` paths from the start of a scene to the intended goal.
 
     Attributes:
         scene: the scene.
         target: index of the intended goal.
-        legibility: the asked ℓ, a number or `(B,)`.
-        waypoints: `(K + 2, D)` or `(B, K + 2, D)` [m]: start, K = 8 waypoints, goal; inside the
-            workspace.
-        clipped: bool or `(B,)`, whether the drawn curve left the workspace and was moved back to
-            its wall.
-        observer: the one whose labels ℓ means.
+        legibility: the requested ℓ, `(B?)`.
+        waypoints: `(B?, K + 2, D)` [m], in the workspace: start, K = 8 waypoints, goal.
+        clipped: `(B?)`, whether the curve left the workspace and was moved back to its wall.
+        observer: defines ℓ.
     """
 
     scene: Scene
@@ -42,12 +40,7 @@ class Path:
 
     @classmethod
     def through(
-        cls,
-        waypoints: Array,
-        scene: Scene,
-        target: int,
-        legibility: Array,
-        observer: Observer,
+        cls, waypoints: Array, scene: Scene, target: int, legibility: Array, observer: Observer
     ) -> Path:
         """A path through `waypoints (B?, K + 2, D)` [m], brought into the workspace."""
         inside = scene.contains(path_curve(waypoints, SCORE_POINTS), 1e-6).all(-1)
@@ -97,7 +90,7 @@ class Path:
 
 def straight_waypoints(start: Array, goal: Array) -> Array:
     """`(K + 2, D)` [m], the straight line from `start` to `goal (D,)` [m] as a path."""
-    return start + np.linspace(0, 1, NUM_WAYPOINTS + 2)[:, None] * (goal - start)
+    return np.linspace(start, goal, NUM_WAYPOINTS + 2)
 
 
 @lru_cache(maxsize=32)

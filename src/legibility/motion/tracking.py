@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from ..checks import Array
 from ..curves import arc_length, path_curve, resample
 
-__all__ = ["NOMINAL_GAIN", "PathTracker", "feedback_action"]
-
 NOMINAL_GAIN = 0.75
-"""Share of a commanded displacement that the controller takes to be realised."""
+"""Share of a commanded displacement that the controller assumes is realised."""
 
 _POINTS = 257
 _SEARCH = 33
@@ -23,10 +21,10 @@ _APPROACH = 0.5
 
 
 class PathTracker:
-    """Progress along `B` paths, which only grows and only as far as the robot has moved.
+    """Progress along `B` paths, which never falls and grows no faster than the robot moves.
 
-    The place on a path is the nearest point of a short stretch from the last place on, so the
-    tracker keeps its place on loops, hairpins and paths that cross themselves.
+    It is the nearest point of a short stretch ahead, so loops, hairpins and paths that cross
+    themselves do not confuse it.
 
     Args:
         paths: `(B, K + 2, D)` [m], start, waypoints, goal.
@@ -45,12 +43,11 @@ class PathTracker:
         self.lengths = arc_length(self._curves)
         self.progress = np.zeros(len(paths))
 
-    @np.errstate(under="ignore")
     def _dense(self, paths: Array) -> Array:
         return resample(np.clip(path_curve(paths, _POINTS), *self.workspace), _POINTS)
 
     def replace(self, rows: NDArray[np.intp], paths: Array) -> None:
-        """Give `rows` (indices) new `paths (N, K + 2, D)`, which start at the robots."""
+        """Give `rows` (indices) new `paths (N, K + 2, D)` that start at the robots."""
         self._curves[rows] = self._dense(paths)
         self.lengths[rows] = arc_length(self._curves[rows])
         self.progress[rows] = 0
@@ -88,7 +85,7 @@ class PathTracker:
 
     @property
     def remaining(self) -> Array:
-        """`(B,)` [m] of the curve that is left."""
+        """Remaining length `(B,)` [m]."""
         return self.lengths - self.progress
 
     def distance(self, positions: Array) -> Array:
@@ -98,10 +95,9 @@ class PathTracker:
 
 @np.errstate(under="ignore")
 def feedback_action(tracker: PathTracker, positions: Array) -> Array:
-    """Displacements `(B, D)` [m] that lead to a point a little ahead on the path.
+    """Displacements `(B, D)` [m] to a point half the limit ahead on the path, slower at the goal.
 
-    It moves half the limit a step and slows down before the goal; a step that is too long for the
-    limit is scaled, not cut off.
+    A step beyond the limit is scaled, not clipped.
     """
     step = np.minimum(_SPEED * tracker.limit, _APPROACH * tracker.remaining)
     wanted = (tracker.ahead(step[:, None])[:, 0] - positions) / NOMINAL_GAIN

@@ -1,0 +1,227 @@
+"""Whatever the driver does, its actions are made safe and every rollout ends with a reason."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import legibility as lg
+from legibility.drivers import Feedback, Replay
+from legibility.envs.block_reach_2d import BlockReach2DVector
+from legibility.envs.fleet import Fleet
+from legibility.errors import InvalidInputError
+from legibility.motion.path import Path
+from legibility.rollout import follow
+
+LIMIT = 0.05
+SCENE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
+
+
+def bent(scene, bend):
+    """A path from the scene's start to goal 0 that bulges by `bend` of its length."""
+    line = np.linspace(scene.start, scene.goals[0], 10)
+    side = np.array([-1.0, 1.0]) * (scene.goals[0] - scene.start)[::-1]
+    waypoints = line + bend * np.sin(np.linspace(0, np.pi, 10))[:, None] * side
+    waypoints[[0, -1]] = scene.start, scene.goals[0]
+    return Path.through(waypoints, scene, 0, np.array(0.5), lg.Observer())
+
+
+def robots(size=6, seed=0, **options):
+    """Robots in random scenes and a path for each."""
+    env = BlockReach2DVector(size)
+    env.reset(seed=seed, options=options)
+    fleet = Fleet(env, 0)
+    return fleet, [bent(s, 0.3 * (-1) ** i) for i, s in enumerate(fleet.scenes)]
+
+
+def check_safe(rollouts):
+    for rollout in rollouts:
+        assert np.isfinite(rollout.actions).all()
+        assert (np.abs(rollout.actions) <= LIMIT).all()
+        assert rollout.path.scene.contains(rollout.states).all()
+        assert rollout.reason in ("reached", "stalled", "lost", "time")
+        assert rollout.success == (rollout.reason == "reached")
+        assert len(rollout.states) == len(rollout.actions) + 1 == len(rollout.deviation) + 1
+
+
+class TestFeedback:
+    @given(seed=st.integers(0, 10_000), noise=st.sampled_from([0.0, 0.003]))
+    @settings(max_examples=10, deadline=None)
+    def test_reaches_the_goal_near_the_path(self, seed, noise):
+        fleet, paths = robots(seed=seed, noise=noise)
+        rollouts = follow(fleet, paths, Feedback())
+        check_safe(rollouts)
+        for rollout, path in zip(rollouts, paths, strict=True):
+            assert rollout.reason == "reached"
+            assert rollout.wall_contacts == 0
+            assert np.linalg.norm(rollout.states[-1] - path.waypoints[-1]) <= 0.02
+            assert rollout.deviation.mean() < 0.01
+            np.testing.assert_array_equal(rollout.states[0], path.waypoints[0])
+            assert rollout.posterior.shape == (len(rollout.states), path.scene.num_goals)
+            assert rollout.trajectory(50).shape == (50, 2)
+            assert rollout.legibility == 0.5
+            assert np.isfinite(rollout.score)
+
+    def test_the_same_again(self):
+        first, again = (follow(*robots(seed=3, noise=0.002), Feedback()) for _ in range(2))
+        for a, b in zip(first, again, strict=True):
+            np.testing.assert_array_equal(a.states, b.states)
+            np.testing.assert_array_equal(a.actions, b.actions)
+
+    def test_a_robot_does_not_depend_on_the_others(self):
+        scenes = [lg.Scene.random(np.random.default_rng(i)) for i in range(4)]
+        motions = []
+        for part in (scenes, scenes[2:3]):
+            env = BlockReach2DVector(len(part))
+            first = scenes.index(part[0])
+            env.reset(seed=[first + i for i in range(len(part))], options={"scene": part})
+            motions.append(follow(Fleet(env, 0), [bent(s, 0.2) for s in part], Feedback()))
+        np.testing.assert_allclose(motions[0][2].states, motions[1][0].states, atol=1e-12)
+
+    def test_a_pushed_robot_goes_back_to_its_path(self):
+        rollouts = follow(*robots(push=0.1), Feedback())
+        check_safe(rollouts)
+        assert all(r.success and not r.replans for r in rollouts)
+        assert max(r.deviation.max() for r in rollouts) > 0.05
+
+
+def test_read_by_the_observer_of_the_path():
+    (rollout,) = follow(*robots(size=1), Feedback())
+    path = rollout.path
+    field = lg.InformationPotentialField(path.scene.goals, 0.15)
+    np.testing.assert_array_equal(rollout.posterior, field.posterior(rollout.states))
+    score = lg.metrics.legibility_score(rollout.trajectory(), field, path.target)
+    assert rollout.score == pytest.approx(float(score), rel=1e-12)
+    archive = lg.build_archive(path.scene, path.target)
+    assert rollout.achieved == pytest.approx(float(archive.label_of(rollout.score)), abs=1e-9)
+    assert -1 <= rollout.achieved <= 1
+
+
+class Wild:
+    """A driver that commands anything."""
+
+    with_path = True
+
+    def __init__(self, command):
+        self.command, self.rng = command, np.random.default_rng(0)
+
+    def __call__(self, robots):
+        values = {
+            "nan": np.nan, "inf": np.inf, "huge": 1e300, "nothing": 0.0,
+            "away": 1.0, "random": self.rng.normal(0, 0.2, (len(robots.rows), 3, 2)),
+        }  # fmt: skip
+        return np.broadcast_to(values[self.command], (len(robots.rows), 3, 2)).copy()
+
+
+@pytest.mark.parametrize("command", ["nan", "inf", "huge", "nothing", "away", "random"])
+def test_any_command_is_made_safe_and_the_rollout_ends_early(command):
+    rollouts = follow(*robots(size=16), Wild(command))
+    check_safe(rollouts)
+    assert not any(r.wall_contacts for r in rollouts)
+    assert {r.reason for r in rollouts if not r.success} <= {"stalled", "lost"}
+    assert sum(r.success for r in rollouts) < 8
+
+
+def test_a_driver_is_asked_only_for_robots_that_need_actions():
+    class Chunks(Feedback):
+        asked = []  # noqa: RUF012
+
+        def __call__(self, robots):
+            self.asked.append(robots.rows.tolist())
+            assert len(robots.positions) == len(robots.previous) == len(robots.goals)
+            assert len(robots.tracker.lengths) == len(robots.rows)
+            return np.repeat(super().__call__(robots), 2, axis=1)
+
+    rollouts = follow(*robots(size=4), Chunks())
+    steps = [len(r.actions) for r in rollouts]
+    for row, number in enumerate(steps):
+        assert sum(row in rows for rows in Chunks.asked) == -(-number // 2)
+
+
+def test_open_loop_falls_short():
+    rollouts = follow(*robots(size=16), Replay(LIMIT))
+    check_safe(rollouts)
+    assert sum(r.success for r in rollouts) < 8
+
+
+class TestReasons:
+    def test_stalled_after_two_seconds_without_progress(self):
+        (rollout,) = follow(*robots(size=1), Wild("nothing"))
+        assert rollout.reason == "stalled"
+        assert len(rollout.actions) * rollout.step_seconds == pytest.approx(2, abs=0.1)
+
+    def test_lost_far_from_the_path(self):
+        fleet, _ = robots(size=1, scene=SCENE)
+        (rollout,) = follow(fleet, [bent(SCENE, 0)], Wild("away"))
+        assert rollout.reason == "lost"
+        assert rollout.deviation[-1] > 6 * LIMIT > rollout.deviation[-2]
+
+    def test_time(self):
+        env = BlockReach2DVector(2, max_episode_steps=5)
+        env.reset(seed=0, options={"scene": SCENE})
+        for rollout in follow(Fleet(env, 0), [bent(SCENE, 0)] * 2, Feedback()):
+            assert rollout.reason == "time"
+            assert len(rollout.actions) == 5
+
+
+class TestReplanning:
+    def straight(self, fleet):
+        """A planner of straight lines, and the calls to it."""
+        calls = []
+
+        def plan(rows, positions):
+            calls.append((rows, positions))
+            return [
+                bent(lg.Scene(x, fleet.scenes[row].goals), 0)
+                for row, x in zip(rows, positions, strict=True)
+            ]
+
+        return plan, calls
+
+    def test_after_a_push(self):
+        fleet, paths = robots(push=0.1)
+        plan, calls = self.straight(fleet)
+        rollouts = follow(fleet, paths, Feedback(), replan=plan, tolerance=0.05)
+        check_safe(rollouts)
+        assert all(r.success for r in rollouts)
+        assert calls
+        assert sum(len(r.replans) for r in rollouts) == sum(len(rows) for rows, _ in calls)
+
+    def test_when_the_goal_moves(self):
+        fleet, paths = robots(shift=0.1)
+        plan, _ = self.straight(fleet)
+        rollouts = follow(fleet, paths, Feedback(), replan=plan, tolerance=0.05)
+        assert all(r.success for r in rollouts)
+        assert all(len(r.replans) >= 1 for r in rollouts)
+        fleet, paths = robots(shift=0.1)
+        assert not all(r.success for r in follow(fleet, paths, Feedback()))
+
+    def test_not_without_a_reason(self):
+        fleet, paths = robots()
+        rollouts = follow(
+            fleet, paths, Feedback(), replan=lambda *_: pytest.fail("it replanned"), tolerance=0.05
+        )
+        assert all(r.success and not r.replans for r in rollouts)
+
+
+class TestRefuses:
+    def test_a_path_from_elsewhere(self):
+        fleet, paths = robots(size=2)
+        with pytest.raises(InvalidInputError, match="must start at the robot"):
+            follow(fleet, paths[::-1], Feedback())
+
+    @pytest.mark.parametrize(
+        ("change", "match"),
+        [
+            (lambda w: w[:5], "waypoints of shape"),
+            (lambda w: np.pad(w, ((0, 0), (0, 1))), "waypoints of shape"),
+            (lambda w: w * np.nan, "must be finite"),
+        ],
+    )
+    def test_broken_waypoints(self, change, match):
+        fleet, (path,) = robots(size=1)
+        broken = Path(
+            path.scene, 0, path.legibility, change(path.waypoints), np.False_, path.observer
+        )
+        with pytest.raises(InvalidInputError, match=match):
+            follow(fleet, [broken], Feedback())
