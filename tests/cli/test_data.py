@@ -52,7 +52,7 @@ def test_three_dimensions(here, cli):
     assert cli(f"data --scenes 1 {flags} --out d") == 0
     assert cli("data --info d --figure d.svg") == 0
     config = Dataset.load("d").config
-    assert (config.dim, config.label, config.stream, config.goals) == (
+    assert (config.dim, config.observer.label, config.stream, config.goals) == (
         3,
         "rank",
         "validation",

@@ -1,7 +1,11 @@
 import hashlib
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
 
 import legibility as lg
 from legibility.cli.train import _line
@@ -14,7 +18,7 @@ def test_report_and_weights(run, dataset):
     assert content["command"].startswith("legibility train path --steps 20 ")
     assert content["config"]["training"]["steps"] == 20
     assert content["config"]["path"]["channels"] == [8, 16]
-    assert content["config"]["path"]["sigma"] == 0.15
+    assert content["config"]["path"]["observer"]["sigma"] == 0.15
     assert content["model"] == {
         "name": str(weights),
         "path": hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest(),
@@ -40,7 +44,8 @@ def test_ended_run_is_repeated_at_once(run, dataset, cli, tiny, capsys):
 
 def test_other_settings_in_the_same_folder(run, dataset, tiny, refused):
     paths = ["--data", dataset, "--validation", dataset, "--out", run]
-    assert "another run" in refused(f"train path --steps 30 {tiny}", *paths)
+    message = "training.steps is 20 in the checkpoint and 30 now"
+    assert message in refused(f"train path --steps 30 {tiny}", *paths)
 
 
 def test_validation_is_made_if_none_is_given(
@@ -50,7 +55,7 @@ def test_validation_is_made_if_none_is_given(
     assert cli(f"train path --steps 1 {tiny} --out run --data", dataset) == 0
     made, data = Dataset.load("run/validation").config, Dataset.load(dataset).config
     assert (made.stream, made.scenes) == ("validation", 2)
-    assert (made.goals, made.sigma, made.cells) == (data.goals, data.sigma, data.cells)
+    assert (made.goals, made.observer, made.cells) == (data.goals, data.observer, data.cells)
     assert "spearman" in capsys.readouterr().err
     assert Path("run/log.jsonl").exists()
 
@@ -66,10 +71,10 @@ def test_precision(dataset, cli, tiny, tmp_path, refused, capsys):
     paths = ["--data", dataset, "--validation", dataset, "--out", tmp_path / "run"]
     assert cli(f"{words} bf16", *paths) == 0
     capsys.readouterr()
-    assert lg.Modulator.from_pretrained(tmp_path / "run/weights").training["path"][
-        "precision"
-    ] == "bf16"  # fmt: skip
-    assert "another run (precision differ)" in refused(f"{words} no", *paths)
+    record = lg.Modulator.from_pretrained(tmp_path / "run/weights").training["path"]
+    assert record.precision == "bf16"
+    message = "precision is 'bf16' in the checkpoint and 'no' now"
+    assert message in refused(f"{words} no", *paths)
     assert "precision must be one of no, bf16, fp16, got 'f8'" in refused(f"{words} f8", *paths)
 
 
@@ -97,7 +102,7 @@ def test_policy_beside_the_path(run, dataset, cli, tmp_path, capsys):
     assert "validation_success" in content["result"]["last"]
     model = lg.Modulator.from_pretrained(weights)
     assert model.path_policy is not None
-    assert model.training["policy"]["demonstrations"]["number"] == 8
+    assert model.training["policy"].demonstrations["number"] == 8
 
 
 def test_student_beside_its_teachers_policy(run, dataset, cli, tmp_path, refused, capsys):
@@ -113,10 +118,10 @@ def test_student_beside_its_teachers_policy(run, dataset, cli, tmp_path, refused
     assert content["config"]["path"]["guidance"] == 0
     assert content["config"]["path"]["sampling_steps"] == 2
     student = lg.Modulator.from_pretrained(out / "weights")
-    made_by = student.training["path"]["teacher"]
+    made_by = student.training["path"].teacher
     teacher = (run / "weights" / "path.safetensors").read_bytes()
-    assert made_by["sha256"] == hashlib.sha256(teacher).hexdigest()
-    assert made_by["training"]["training"]["steps"] == 20
+    assert made_by.sha256 == hashlib.sha256(teacher).hexdigest()
+    assert made_by.training.training["steps"] == 20
     capsys.readouterr()
 
     whole = lg.Modulator.from_pretrained("block-reach-2d")
@@ -132,6 +137,36 @@ def test_student_beside_its_teachers_policy(run, dataset, cli, tmp_path, refused
         words, tmp_path / "whole", *paths, *own
     )
     assert "has no stage 1" in refused(words, "diffusion-policy-2d", *paths)
+
+
+def test_weights_beside_the_checkpoint(run, dataset, tiny, refused):
+    paths = ["--data", dataset, "--validation", dataset, "--out", run, "--weights", run]
+    message = f"weights must be another folder than out, got {run}"
+    assert message in refused(f"train path --steps 20 {tiny}", *paths)
+
+
+def test_finished_run_without_its_log_gives_its_weights(run, dataset, cli, tiny, tmp_path, capsys):
+    out = shutil.copytree(run, tmp_path / "run")
+    (out / "log.jsonl").unlink()
+    shutil.rmtree(out / "weights")
+    paths = ["--data", dataset, "--validation", dataset, "--out", out]
+    assert cli(f"train path --steps 20 {tiny}", *paths) == 0
+    for name in ("weights/path.safetensors", "weights/config.json", "log.jsonl"):
+        assert (out / name).read_bytes() == (run / name).read_bytes()
+
+
+HEAVY = {"torch", "scipy", "pyarrow", "joblib", "diffusers", "matplotlib"}
+
+
+@pytest.mark.parametrize("verb", ["data", "train path", "train distill", "train policy"])
+def test_help_loads_nothing_heavy(verb):
+    script = "import sys; from legibility.cli import main; main(sys.argv[1:]); print(*sys.modules)"
+    words = [*verb.split(), "--help"]
+    shown = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True)
+    assert shown.stderr == ""
+    help_text, _, modules = shown.stdout.rstrip().rpartition("\n")
+    assert "--data DIR" in help_text or "--scenes INT" in help_text
+    assert not HEAVY & set(modules.split())
 
 
 def test_policy_needs_demonstrations(dataset, tmp_path, refused):

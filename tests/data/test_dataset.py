@@ -356,7 +356,7 @@ class TestContent:
             straight = np.linspace(scene.start, scene.goals[0], NUM_WAYPOINTS + 2)[1:-1]
             length = np.linalg.norm(scene.goals[0] - scene.start)
             gap = np.linalg.norm(data.waypoints[index, middle] - straight, axis=-1).max()
-            assert gap < 0.06 * length
+            assert gap < 0.1 * length  # at most 0.033 over six seeds and two instruction sets
             curve = self.curves(data, index)[middle]
             assert arc_length(curve) < 1.002 * length
 

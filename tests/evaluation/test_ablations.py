@@ -110,15 +110,18 @@ class TestEvaluate:
         folder, _, _ = evaluated
         made = {}
         for name in SMALL:
-            stages, _ = load_stages(folder / name / "weights")
+            stages, training = load_stages(folder / name / "weights")
             config = stages["path"].config
-            made[name] = (config.field, config.observer.label)
+            made[name] = (config.field, config.observer.label, training["path"].data["scenes"])
+            assert training["path"].training["steps"] == 2
+            if name != "rank-label":
+                assert training["path"].digest == f"{data.digest}[:{made[name][2]}]"
             assert config.channels == TINY.channels
         assert made == {
-            "reference": (True, "anchored"),
-            "without-field": (False, "anchored"),
-            "rank-label": (True, "rank"),
-            "scenes-3": (True, "anchored"),
+            "reference": (True, "anchored", 2),
+            "without-field": (False, "anchored", 2),
+            "rank-label": (True, "rank", 2),
+            "scenes-3": (True, "anchored", 3),
         }
         assert Dataset.load(folder / "rank-data").scenes == data.scenes[:2]
 
@@ -164,7 +167,7 @@ class TestEvaluate:
     def test_other_training_in_the_same_folder(self, evaluated, model, data, small):
         folder, _, _ = evaluated
         other = AblationsConfig(**{**vars(SHORT), "training_steps": 3})
-        with pytest.raises(CheckpointError, match=r"another run|training\.steps"):
+        with pytest.raises(CheckpointError, match=r"training\.steps is 2 in the .* and 3 now"):
             evaluate_ablations(model, data, folder, other)
 
     @pytest.mark.parametrize(
@@ -175,7 +178,7 @@ class TestEvaluate:
                 {"observer": Observer(label="rank")},
                 "stream train and label anchored, theirs are train and rank",
             ),
-            ({"observer": Observer(sigma=0.2)}, r"the data have .*sigma.0\.2.*, the model .*0\.15"),
+            ({"observer": Observer(sigma=0.2)}, "the data have sigma 0.2, the model 0.15"),
         ],
     )
     def test_data_that_are_not_for_the_model(self, changes, message, model, tmp_path):

@@ -30,8 +30,9 @@ from ..parallel import threads
 from ..scene import Scene
 from ..seeds import stream_seed
 from ..training.configuration import PathTrainingConfig
+from ..training.loop import Run
 from ..training.path import train_path
-from ..training.team import choose_device
+from ..training.team import Team, choose_device
 from .run import BenchConfig
 
 Rows = list[dict[str, Any]]
@@ -161,10 +162,8 @@ def training(dim: int, config: BenchConfig) -> Rows:
             ends.append(time.perf_counter())
 
         with tempfile.TemporaryDirectory() as folder:
-            train_path(
-                scenes, scenes, folder, settings,
-                device=str(device), precision=precision, progress=progress,
-            )  # fmt: skip
+            team = Team.join(str(device), precision)
+            train_path(scenes, scenes, Run(Path(folder), team, progress), settings)
         return np.diff(ends[_WARM_UP - 1 : -1]).tolist()  # the last step also validates
 
     entries: list[Entry] = [

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from tyro.conf import arg
 
 from ..data.configuration import DatasetConfig, DemonstrationsConfig
-from ..data.dataset import Dataset, generate, shard_names
-from ..data.demonstrations import DEMONSTRATIONS, Demonstrations, demonstrate
 from ..errors import InvalidInputError
 from ..intent.observer import Observer
 from ..report.table import Column, Table
 from .options import Folder, OutputFile, Workers, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
+
+if TYPE_CHECKING:
+    from ..data.dataset import Dataset
 
 _Flags = flags(DatasetConfig, "observer")
 _Observer = flags(Observer)
@@ -37,56 +38,67 @@ def data(
 ) -> None:
     """Make a dataset of labelled trajectories, or describe one.
 
-    With --out DIR it is made: the same bytes for any number of workers. Interrupted, the same
-    command goes on where it stopped. With --info DIR it is described. With --demonstrations N a
-    feedback controller then follows N paths of each scene in the environment; its states and
-    actions are stored beside them.
+    --out DIR makes it: the same bytes for any number of workers. Interrupted, the same command
+    resumes. --info DIR describes it. With --demonstrations N a feedback controller then follows N
+    paths of each scene in the environment; its states and actions are stored beside them.
 
     Args:
-        dataset: what the dataset is made of.
-        observer: whose scores and labels.
-        controller: what the demonstrations are made of.
-        workers: who makes it.
+        dataset: scenes and trajectories.
+        observer: the observer of the scores and labels.
+        controller: the demonstrations.
+        workers: processes that make the data.
         out: folder of the dataset to make.
-        info: folder of a dataset to describe.
-        figure: with --info, a picture of one scene's archive and all labels; else DIR/info.png.
+        info: folder of the dataset to describe.
+        figure: with --info, a picture of one scene's archive and all labels; DIR/info.png if not
+            given.
         json: the description as JSON.
     """
-    if (out is None) == (info is None):
+    folder = info if out is None else out
+    if folder is None or (out is not None and info is not None):
         raise InvalidInputError("give either --out DIR, to make a dataset, or --info DIR")
     check_file(json, "JSON file")
-    if out is not None:
-        settings = made(DatasetConfig, dataset, observer=made(Observer, observer))
-        shown = made(DemonstrationsConfig, controller)
-        if figure is not None:
-            raise InvalidInputError("--figure belongs to --info")
-        if shown.demonstrations:
-            shown.within(settings)
-        elif shown != DemonstrationsConfig():
-            raise InvalidInputError("what is said of demonstrations needs --demonstrations N")
-        check_folder(out, "dataset")
-        with progress_bar("shards") as progress:
-            made_or_read = generate(settings, out, **vars(workers), progress=progress)
-        if shown.demonstrations:
-            with progress_bar("shards of demonstrations") as progress:
-                demonstrate(out, shown, **vars(workers), progress=progress)
-        folder = out
-    else:
-        assert info is not None
+    if info is not None:
         if dataset != _Flags() or observer != _Observer() or controller != _Demonstrations():
-            raise InvalidInputError("--info describes a dataset as it was made; leave the rest out")
-        folder = info
-        made_or_read = Dataset.load(folder)
-        figure = folder / "info.png" if figure is None else figure
+            raise InvalidInputError("--info describes a dataset as it is; leave the rest out")
+        figure = figure or info / "info.png"
         check_figure(figure)
-    config = made_or_read.config
-    result = _describe(made_or_read, folder)
+    elif figure is not None:
+        raise InvalidInputError("--figure belongs to --info")
+    from ..data.dataset import Dataset
+
+    if out is not None:
+        content = _make(out, made(DatasetConfig, dataset, observer=made(Observer, observer)),
+                        made(DemonstrationsConfig, controller), workers)  # fmt: skip
+    else:
+        content = Dataset.load(folder)
+    config = content.config
+    result = _describe(content, folder)
     write_report(json, seed=config.seed, config=config.to_dict(), result=result)
     if figure is not None:
-        _draw(made_or_read, figure)
+        _draw(content, figure)
     show(*_tables(result, config, folder))
     if figure is not None:
         show(f"picture: {figure}")
+
+
+def _make(
+    folder: Path, config: DatasetConfig, controller: DemonstrationsConfig, workers: Workers
+) -> Dataset:
+    """Make the dataset in `folder` and its demonstrations, if any are asked."""
+    from ..data.dataset import generate
+    from ..data.demonstrations import demonstrate
+
+    if controller.demonstrations:
+        controller.within(config)
+    elif controller != DemonstrationsConfig():
+        raise InvalidInputError("settings of demonstrations need --demonstrations N")
+    check_folder(folder, "dataset")
+    with progress_bar("shards") as progress:
+        content = generate(config, folder, **vars(workers), progress=progress)
+    if controller.demonstrations:
+        with progress_bar("shards of demonstrations") as progress:
+            demonstrate(folder, controller, **vars(workers), progress=progress)
+    return content
 
 
 def _draw(dataset: Dataset, figure: Path) -> None:
@@ -98,6 +110,8 @@ def _draw(dataset: Dataset, figure: Path) -> None:
 
 
 def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
+    from ..data.dataset import shard_names
+
     labels = np.clip(dataset.labels, -1, 1)
     edges = np.round(np.linspace(-1, 1, _BINS + 1), 12)
     counts, _ = np.histogram(labels, bins=edges)
@@ -118,18 +132,20 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
 
 
 def _demonstrated(folder: Path) -> dict[str, Any]:
-    """Of the demonstrations in `folder`, if there are any."""
+    """The description of the demonstrations in `folder`, if there are any."""
+    from ..data.demonstrations import DEMONSTRATIONS, Demonstrations
+
     if not (folder / DEMONSTRATIONS).exists():
         return {}
-    found = Demonstrations.load(folder)
-    steps = np.array([len(actions) for actions in found.actions])
+    shown = Demonstrations.load(folder)
+    steps = np.array([len(actions) for actions in shown.actions])
     return {
         "demonstrations": {
-            **asdict(found.config),
-            "number": len(found),
-            "pushed": found.pushed.sum(),
+            **asdict(shown.config),
+            "number": len(shown),
+            "pushed": shown.pushed.sum(),
             "steps": {"mean": steps.mean(), "max": steps.max()},
-            "sha256": found.digest,
+            "sha256": shown.digest,
         }
     }
 

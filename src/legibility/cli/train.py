@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-import torch
-from torch import nn
 from tyro.conf import arg
 
 from ..data.configuration import DatasetConfig
-from ..data.dataset import Dataset, generate
-from ..data.demonstrations import Demonstrations
 from ..errors import CheckpointError, InvalidInputError
 from ..files import file_hash
 from ..models.configuration import GoalPolicyConfig, PathDiffuserConfig, PathPolicyConfig
-from ..models.pretrained import load_stages, pretrained_folder, save_stage
-from ..models.provenance import TeacherRecord, TrainingRecord
+from ..models.provenance import TeacherRecord
 from ..training.configuration import (
     FIXED_BY_DATA,
     DistillationConfig,
     PathTrainingConfig,
     PolicyTrainingConfig,
-    TrainingConfig,
 )
-from ..training.distillation import distill_path
-from ..training.goal import train_goal, tune_guidance
-from ..training.loop import LOG
-from ..training.path import train_path
-from ..training.policy import train_policy
-from ..training.team import Team
 from .options import Folder, OutputFile, Where, Workers, flags, made
 from .output import (
     check_file,
@@ -46,15 +33,21 @@ from .output import (
     write_report,
 )
 
+if TYPE_CHECKING:
+    from ..data.dataset import Dataset
+    from ..training.loop import Run, Trained
+    from ..training.team import Team
+
 
 @dataclass(frozen=True)
 class Files:
-    """What a training reads and writes.
+    """Files that a training reads and writes.
 
     Attributes:
         data: folder of the dataset, made by `legibility data`: for a policy with --demonstrations,
             for a student with its teacher's labels.
-        out: folder of the log, the checkpoint and the weights.
+        out: folder of the log (log.jsonl, and TensorBoard's with the extra named train), the
+            checkpoint and the weights. Interrupted, the same command resumes from the checkpoint.
         validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
         weights: where the weights are saved, beside those of another stage if they are there;
             OUT/weights if not given.
@@ -73,303 +66,192 @@ class Files:
         return self.weights or self.out / "weights"
 
 
-_PathTraining = flags(PathTrainingConfig)
-_PathModel = flags(PathDiffuserConfig, *FIXED_BY_DATA, "distilled")
-_Distillation = flags(DistillationConfig, "dropout")
-_PolicyTraining = flags(PolicyTrainingConfig)
-_PolicyModel = flags(PathPolicyConfig, "dim", "limit")
-_GoalModel = flags(GoalPolicyConfig, "dim", "limit", "guidance", "guidance_decay", "guidance_share")
-_DiffusionPolicyTraining = flags(PolicyTrainingConfig, dropout=0.0)
-_LegibilityDiffuserTraining = flags(PolicyTrainingConfig, dropout=0.2)
+@dataclass(frozen=True)
+class Job:
+    """What every training has: files, workers that make validation data, device and precision."""
+
+    files: Files
+    workers: Workers
+    where: Where
 
 
-def path(
-    files: Files,
-    training: Annotated[Any, arg(constructor=_PathTraining)],
-    model: Annotated[Any, arg(constructor=_PathModel)],
-    workers: Workers,
-    where: Where,
-) -> None:
-    """Train stage 1, the path diffuser, and save its weights to OUT/weights.
+_Job = Annotated[Job, arg(name="")]
+_Path = Annotated[Any, arg(constructor=flags(PathTrainingConfig))]
+_PathModel = Annotated[Any, arg(constructor=flags(PathDiffuserConfig, *FIXED_BY_DATA, "distilled"))]
+_Distillation = Annotated[Any, arg(constructor=flags(DistillationConfig, "dropout"))]
+_Policy = Annotated[Any, arg(constructor=flags(PolicyTrainingConfig))]
+_Unguided = Annotated[Any, arg(constructor=flags(PolicyTrainingConfig, dropout=0.0))]
+_Guided = Annotated[Any, arg(constructor=flags(PolicyTrainingConfig, dropout=0.2))]
+_PolicyModel = Annotated[Any, arg(constructor=flags(PathPolicyConfig, "dim", "limit"))]
+_TUNED = ("guidance", "guidance_decay", "guidance_share")
+_GoalModel = Annotated[Any, arg(constructor=flags(GoalPolicyConfig, "dim", "limit", *_TUNED))]
 
-    Loss and validation of the dial go to OUT/log.jsonl, and with the extra named train to
-    OUT/tensorboard too. Interrupted, the same command resumes from the last checkpoint.
 
-    Args:
-        files: what is read and written.
-        training: how it is trained.
-        model: the network.
-        workers: who makes the validation data.
-        where: where it is trained.
-    """
-    settings = made(PathTrainingConfig, training)
-    check_file(files.json, "JSON file")
-    dataset = Dataset.load(files.data)
-    team, checks = _ready(dataset.config, files, workers, where)
-    facts = {"data": dataset.config.to_dict(), "digest": dataset.digest}
-
-    def run(progress: Callable[..., None]) -> nn.Module:
-        return train_path(
-            dataset, checks, files.out, settings,
-            progress=progress, **vars(where), **vars(model),
-        )  # fmt: skip
-
-    _train("path", run, settings, facts, checks.digest, files, team)
+def path(job: _Job, training: _Path, model: _PathModel) -> None:
+    """Train stage 1, the path diffuser, and save its weights to OUT/weights."""
+    _train(job, "path", made(PathTrainingConfig, training), model)
 
 
 def distill(
-    files: Files,
-    training: Annotated[Any, arg(constructor=_Distillation)],
-    workers: Workers,
-    where: Where,
-    teacher: Annotated[str, arg(metavar="NAME")],
+    job: _Job, training: _Distillation, teacher: Annotated[str, arg(metavar="NAME")]
 ) -> None:
     """Train a student of stage 1 that draws in one step what its teacher draws in several, guided.
 
     Its weights are used as those of any stage 1; the teacher's stage 2, if there is one, is saved
-    beside them. Loss and validation of the dial go to OUT/log.jsonl. Interrupted, the same command
-    resumes from the last checkpoint.
+    beside them.
 
     Args:
-        files: what is read and written.
-        training: how it is trained.
-        workers: who makes the validation data.
-        where: where it is trained.
-        teacher: name or folder of the weights that are distilled.
+        teacher: name or folder of the weights to distill.
     """
     settings = made(DistillationConfig, training)
-    check_file(files.json, "JSON file")
-    folder = pretrained_folder(teacher)
-    stages, made_by = load_stages(folder)
+    _check_files(job.files)
+    from ..data.dataset import Dataset
+    from ..models.pretrained import load_stages, pretrained_folder, save_stage
+    from ..training.distillation import distill_path
+
+    folder, saved = pretrained_folder(teacher), job.files.saved
+    stages, records = load_stages(folder)
     if "path" not in stages:
         raise CheckpointError(f"{folder} has no stage 1")
-    dataset = Dataset.load(files.data)
-    if files.saved.resolve() == folder.resolve():
-        raise InvalidInputError(f"weights must not be the teacher's own folder, got {files.saved}")
-    team, checks = _ready(dataset.config, files, workers, where)
-    facts = {
-        "data": dataset.config.to_dict(),
-        "digest": dataset.digest,
-        "teacher": TeacherRecord(
-            sha256=file_hash(folder / "path.safetensors"),
-            sampling_steps=stages["path"].config.sampling_steps,
-            guidance=stages["path"].config.guidance,
-            training=made_by["path"],
-        ),
-    }
-
-    def run(progress: Callable[..., None]) -> nn.Module:
-        with progress_bar("scenes of the teacher") as drawn:
-            student = distill_path(
-                stages["path"], dataset, checks, files.out, settings,
-                progress=progress, drawn=drawn, **vars(where),
-            )  # fmt: skip
-        if "policy" in stages and team.main:
-            save_stage(files.saved, "policy", stages["policy"], made_by["policy"])
-        return student
-
-    _train("path", run, settings, facts, checks.digest, files, team)
+    if saved.resolve() == folder.resolve():
+        raise InvalidInputError(f"weights must not be the teacher's own folder, got {saved}")
+    data = Dataset.load(job.files.data)
+    team, validation = _ready(job, data.config)
+    model = stages["path"]
+    record = TeacherRecord(
+        sha256=file_hash(folder / "path.safetensors"),
+        sampling_steps=model.config.sampling_steps,
+        guidance=model.config.guidance,
+        training=records["path"],
+    )
+    with progress_bar("scenes of the teacher") as drawn, _run(job, team) as run:
+        trained = distill_path(model, data, validation, run, settings, record=record, drawn=drawn)
+    if "policy" in stages and team.main:
+        save_stage(saved, "policy", stages["policy"], records["policy"])
+    _save(job, team, "path", trained, validation)
 
 
-def policy(
-    files: Files,
-    training: Annotated[Any, arg(constructor=_PolicyTraining)],
-    model: Annotated[Any, arg(constructor=_PolicyModel)],
-    workers: Workers,
-    where: Where,
-) -> None:
-    """Train stage 2, the path-guided policy, and save its weights to OUT/weights.
-
-    Loss and closed-loop validation go to OUT/log.jsonl, and with the extra named train to
-    OUT/tensorboard too. Interrupted, the same command resumes from the last checkpoint.
-
-    Args:
-        files: what is read and written.
-        training: how it is trained.
-        model: the network.
-        workers: who makes the validation data.
-        where: where it is trained.
-    """
-    settings = made(PolicyTrainingConfig, training)
-    _train_on_demonstrations("policy", train_policy, vars(model), settings, files, workers, where)
+def policy(job: _Job, training: _Policy, model: _PolicyModel) -> None:
+    """Train stage 2, the path-guided policy, and save its weights to OUT/weights."""
+    _train(job, "policy", made(PolicyTrainingConfig, training), model)
 
 
-def diffusion_policy(
-    files: Files,
-    training: Annotated[Any, arg(constructor=_DiffusionPolicyTraining)],
-    model: Annotated[Any, arg(constructor=_GoalModel)],
-    workers: Workers,
-    where: Where,
-) -> None:
-    """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility.
-
-    Loss and closed-loop validation go to OUT/log.jsonl. Interrupted, the same command resumes from
-    the last checkpoint.
-
-    Args:
-        files: what is read and written.
-        training: how it is trained.
-        model: the network.
-        workers: who makes the validation data.
-        where: where it is trained.
-    """
-    settings = made(PolicyTrainingConfig, training)
-    _train_on_demonstrations("goal", train_goal, vars(model), settings, files, workers, where)
+def diffusion_policy(job: _Job, training: _Unguided, model: _GoalModel) -> None:
+    """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility."""
+    _train(job, "goal", made(PolicyTrainingConfig, training), model)
 
 
-def legibility_diffuser(
-    files: Files,
-    training: Annotated[Any, arg(constructor=_LegibilityDiffuserTraining)],
-    model: Annotated[Any, arg(constructor=_GoalModel)],
-    workers: Workers,
-    where: Where,
-) -> None:
+def legibility_diffuser(job: _Job, training: _Guided, model: _GoalModel) -> None:
     """Train the baseline Legibility Diffuser, then tune its guidance on the validation scenes.
 
     It is a goal-conditioned policy whose goal is sometimes dropped in training. The JSON records
-    every combination of weight, decay and share of the guidance that was tried, with its
-    measurements. Interrupted, the same command resumes from the last checkpoint.
-
-    Args:
-        files: what is read and written.
-        training: how it is trained.
-        model: the network.
-        workers: who makes the validation data.
-        where: where it is trained.
+    the measurements of every combination of weight, decay and share of the guidance.
     """
-    settings = made(PolicyTrainingConfig, training)
-    _train_on_demonstrations(
-        "goal", train_goal, vars(model), settings, files, workers, where, tune=True
-    )
+    _train(job, "goal", made(PolicyTrainingConfig, training), model, tune=True)
 
 
-def _train_on_demonstrations(
-    stage: str,
-    train_it: Callable[..., Any],
-    model: dict[str, Any],
-    settings: PolicyTrainingConfig,
-    files: Files,
-    workers: Workers,
-    where: Where,
-    tune: bool = False,
-) -> None:
+def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) -> None:
+    """Train a stage from nothing and save it."""
+    _check_files(job.files)
+    from ..data.dataset import Dataset
+    from ..data.demonstrations import Demonstrations
+    from ..training.goal import train_goal, tune_guidance
+    from ..training.path import train_path
+    from ..training.policy import train_policy
+
+    data: Any = (Dataset if stage == "path" else Demonstrations).load(job.files.data)
+    train: Any = {"path": train_path, "policy": train_policy, "goal": train_goal}[stage]
+    team, validation = _ready(job, data.config if stage == "path" else data.dataset)
+    with _run(job, team) as run:
+        trained = train(data, validation, run, settings, **vars(model))
+    tuning = {}
+    if tune and team.main:
+        with progress_bar("combinations of guidance") as progress:
+            chosen, rows = tune_guidance(trained.model, validation, progress)
+        trained.model.config = replace(trained.model.config, **chosen)
+        tuning = {"tuning": rows}
+    _save(job, team, stage, trained, validation, tuning)
+
+
+def _check_files(files: Files) -> None:
+    """Raise before any work if the files that a training writes cannot be written."""
     check_file(files.json, "JSON file")
-    demonstrations = Demonstrations.load(files.data)
-    team, checks = _ready(demonstrations.dataset, files, workers, where)
-    facts = {
-        "data": demonstrations.dataset.to_dict(),
-        "demonstrations": {**asdict(demonstrations.config), "number": len(demonstrations)},
-        "digest": demonstrations.digest,
-    }
-
-    tuning: list[dict[str, float]] = []
-
-    def run(progress: Callable[..., None]) -> nn.Module:
-        trained = train_it(
-            demonstrations, checks, files.out, settings, progress=progress, **vars(where), **model
-        )
-        if tune and team.main:
-            with progress_bar("combinations of guidance") as tuned:
-                chosen, rows = tune_guidance(trained, checks, tuned)
-            trained.config = replace(trained.config, **chosen)
-            tuning.extend(rows)
-        return trained
-
-    _train(stage, run, settings, facts, checks.digest, files, team, tuning)
-
-
-def _train(
-    stage: str,
-    run: Callable[[Callable[..., None]], nn.Module],
-    settings: TrainingConfig,
-    facts: dict[str, Any],
-    validation: str,
-    files: Files,
-    team: Team,
-    tuning: list[dict[str, float]] | None = None,
-) -> None:
-    """Train a stage under a progress bar, save its weights and tell what became of it."""
-    with progress_bar("steps") as progress:
-
-        def report(step: int, steps: int, figures: dict[str, float]) -> None:
-            progress(step, steps, _line(step, figures))
-
-        trained = run(report)
-    team.leave()
-    if not team.main:
-        return
-    text = (files.out / LOG).read_text(encoding="utf-8")
-    log = [json.loads(row) for row in text.splitlines()]
-    last: dict[str, float] = {}
-    for row in log:
-        last |= row
-    measured = {
-        "parameters": sum(p.numel() for p in trained.parameters()),
-        "seconds": last["seconds"],
-        "step_seconds": _step_seconds(log),
-        "device": str(team.device),
-        "processes": team.size,
-        "precision": team.precision,
-        "threads": torch.get_num_threads(),
-        "torch": torch.__version__,
-    }
-    record = TrainingRecord(training=asdict(settings), **facts, **measured)
-    save_stage(files.saved, stage, trained, record)
-    network: Any = trained.config
-    write_report(
-        files.json,
-        seed=settings.seed,
-        config={"training": asdict(settings), stage: network.to_dict()},
-        model=model_record(str(files.saved)),
-        result={
-            "data": facts["digest"],
-            "validation": validation,
-            **measured,
-            "last": last,
-            **({"tuning": tuning} if tuning else {}),
-        },
-    )
-    title = f"{measured['parameters']} parameters after {settings.steps} steps"
-    rows = table(title, "figure", "last", text_columns=1)
-    for name, value in last.items():
-        rows.add_row(name, number(value, 0 if name in ("step", "seconds") else 4))
-    show(rows, f"weights: {files.saved}")
-
-
-def _step_seconds(log: list[dict[str, float]]) -> float:
-    """Time of a step [s] that the quickest tenth of the log keeps to, as if nothing else ran."""
-    times = np.array([[row["step"], row["seconds"]] for row in log])
-    steps, seconds = np.diff(times, axis=0, prepend=np.zeros((1, 2))).T
-    return float(np.quantile(seconds / steps, 0.1))
-
-
-def _ready(
-    config: DatasetConfig, files: Files, workers: Workers, where: Where
-) -> tuple[Team, Dataset]:
-    """The team that trains, once its folders can be written, and its validation data.
-
-    They are those that are given, or made like the data of `config`.
-    """
     check_folder(files.out, "checkpoint")
     check_folder(files.saved, "weights")
-    team = Team.join(**vars(where))
-    if files.validation is not None:
-        return team, Dataset.load(files.validation)
+    if files.saved.resolve() == files.out.resolve():
+        raise InvalidInputError(f"weights must be another folder than out, got {files.saved}")
+
+
+def _ready(job: Job, config: DatasetConfig) -> tuple[Team, Dataset]:
+    """The team that trains and its validation data: those given, or made like data of `config`."""
+    from ..data.dataset import Dataset, generate
+    from ..training.team import Team
+
+    team = Team.join(**vars(job.where))
+    if job.files.validation is not None:
+        return team, Dataset.load(job.files.validation)
     if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
-    config, folder = config.for_validation(), files.out / "validation"
+    folder = job.files.out / "validation"
     with team.main_first():
         if not team.main:
             return team, Dataset.load(folder)
         with progress_bar("shards for validation") as progress:
-            return team, generate(config, folder, **vars(workers), progress=progress)
+            workers = vars(job.workers)
+            return team, generate(config.for_validation(), folder, **workers, progress=progress)
 
 
-def _line(step: int, figures: dict[str, float]) -> str:
-    """A line of a validation, empty between them."""
-    found = {k.removeprefix("validation_"): v for k, v in figures.items() if k.startswith("valid")}
-    if not found:
+@contextmanager
+def _run(job: Job, team: Team) -> Iterator[Run]:
+    """A run in OUT under a progress bar; the team ends with it."""
+    from ..training.loop import Run
+
+    with progress_bar("steps") as progress:
+        yield Run(job.files.out, team, lambda *at: progress(*at[:2], _line(at[0], at[2])))
+    team.leave()
+
+
+def _line(step: int, metrics: dict[str, float]) -> str:
+    """A line for a validation, empty between validations."""
+    names = ["loss", *(name for name in metrics if name.startswith("validation_"))]
+    if len(names) == 1:
         return ""
-    if "loss" in figures:
-        found = {"loss": figures["loss"], **found}
-    return "  ".join([f"step {step}", *(f"{k} {number(v, 4)}" for k, v in found.items())])
+    values = (f"{n.removeprefix('validation_')} {number(metrics[n], 4)}" for n in names)
+    return "  ".join([f"step {step}", *values])
+
+
+def _save(
+    job: Job,
+    team: Team,
+    stage: str,
+    trained: Trained[Any],
+    validation: Dataset,
+    tuning: dict[str, Any] | None = None,
+) -> None:
+    """Save the weights of a stage, write the JSON and print the last metrics."""
+    if not team.main:
+        return
+    from ..models.pretrained import save_stage
+
+    files, record, metrics = job.files, trained.record, trained.metrics
+    save_stage(files.saved, stage, trained.model, record)
+    source = {"data", "digest", "demonstrations", "teacher", "training"}
+    measured = {name: value for name, value in vars(record).items() if name not in source}
+    write_report(
+        files.json,
+        seed=record.training["seed"],
+        config={"training": record.training, stage: trained.model.config.to_dict()},
+        model=model_record(str(files.saved)),
+        result={
+            "data": record.digest,
+            "validation": validation.digest,
+            **measured,
+            "last": metrics,
+            **(tuning or {}),
+        },
+    )
+    title = f"{record.parameters} parameters after {record.training['steps']} steps"
+    rows = table(title, "metric", "last", text_columns=1)
+    for name, value in metrics.items():
+        rows.add_row(name, number(value, 0 if name in ("step", "seconds") else 4))
+    show(rows, f"weights: {files.saved}")

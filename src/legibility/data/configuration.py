@@ -1,4 +1,4 @@
-"""The settings of datasets and of demonstrations; with the code they fix every byte."""
+"""The settings of datasets and of demonstrations, which fix every byte together with the code."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class DatasetConfig:
         stream: seed stream of the scenes, `train` or `validation`.
         goals: least and most goals of a scene.
         per_scene: trajectories chosen from each archive, at equal steps of ℓ.
-        efficiency: among trajectories of nearly the same ℓ, one whose length exceeds the shortest's
-            by |ℓ| times this share of the straight line is chosen e times less often; ℓ = 0 is then
-            the straight line, and no level takes a detour that it does not need.
+        efficiency: among trajectories of nearly the same ℓ, one that is longer than the shortest by
+            |ℓ| times this share of the straight line is chosen e times less often; so ℓ = 0 is the
+            straight line, and no level takes a needless detour.
         cells: the archive's cells along each axis; 0 means the default of the dimension.
-        observer: whose scores and labels.
+        observer: the observer of the scores and labels.
     """
 
     dim: int = 2
@@ -50,7 +50,7 @@ class DatasetConfig:
         count("per_scene", self.per_scene, low=3)
         if self.stream == "evaluation":
             raise InvalidInputError(
-                "stream must be train or validation: scenes of evaluation are for evaluations alone"
+                "stream must be train or validation, the scenes of evaluation are for evaluations"
             )
         _ = self.source
         object.__setattr__(self, "goals", tuple(self.goals))
@@ -94,16 +94,15 @@ class DatasetConfig:
 
 @dataclass(frozen=True)
 class DemonstrationsConfig:
-    """What demonstrations are made of; together with the dataset and the code it fixes every byte.
+    """The settings of demonstrations.
 
     Attributes:
-        demonstrations: how many of each scene; 0 makes none.
-        demonstrated: of how many scenes of the dataset, the first ones; 0 means all.
-        noise: standard deviation of each step's displacement [m], so that states beside the path
-            are seen, and how to get back; 6 % of the largest if not given.
+        demonstrations: number in each scene; 0 makes none.
+        demonstrated: number of scenes, the first ones of the dataset; 0 means all.
+        noise: standard deviation of the noise on each step's displacement [m], which shows the way
+            back to the path; 6 % of the largest displacement if not given.
         pushed: share of the demonstrations with one push.
-        push: how far the robot is pushed [m]; twice the largest displacement of a step if not
-            given.
+        push: distance of a push [m]; twice the largest displacement if not given.
     """
 
     demonstrations: int = 0
@@ -121,10 +120,11 @@ class DemonstrationsConfig:
                 bounded(name, getattr(self, name), 0)
 
     def within(self, source: DatasetConfig) -> DemonstrationsConfig:
-        """The same with what is not given set for the robot that demonstrates in a dataset.
+        """The same settings with the defaults of the robot that demonstrates in a dataset.
 
         Raises:
-            InvalidInputError: there are not so many scenes or trajectories, or too much noise.
+            InvalidInputError: the dataset has fewer scenes or trajectories, or the noise is larger
+                than a displacement.
         """
         count("demonstrations", self.demonstrations)
         if self.demonstrations > source.per_scene:

@@ -1,8 +1,8 @@
 """Labelled trajectories on disk: random scenes and a choice from their archives, flat along ℓ.
 
-A dataset is a folder with `manifest.json` and Parquet shards, a row a scene. Every scene comes from
-a seed of its own, so the bytes are the same for any number of workers, and a shard is either whole
-or not there, so an interrupted run goes on where it stopped.
+A dataset is a folder with `manifest.json` and Parquet shards, a row a scene. Every scene has its
+seed, so the bytes are the same for any number of workers. Shards are written atomically, so an
+interrupted run resumes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_
 __all__ = ["Dataset", "generate", "select"]
 
 LABEL_KNOTS = np.linspace(-1, 1, 65)
-"""Labels at which a scene's scores are stored, so that a score can be read as a label later."""
+"""Labels at which a scene's scores are stored, from which a label is read off a score."""
 
 _MANIFEST = "manifest.json"
 
@@ -50,8 +50,8 @@ def select(
 ) -> dict[str, Array]:
     """Choose `num` trajectories at equal steps of ℓ from −1 to 1, short ones rather than long.
 
-    A path stands for its trajectory from here on, so what is labelled is the curve through its
-    waypoints; paths whose curve leaves the workspace are not chosen.
+    Scores and labels are those of the curve through a path's waypoints, which stands for the
+    trajectory; paths whose curve leaves the workspace are not chosen.
 
     Returns:
         `controls (num, 4, D)`, `waypoints (num, K, D)`, `scores (num,)`, `labels (num,)`.
@@ -122,15 +122,15 @@ def generate(
     cluster: str | None = None,
     progress: ShardProgress = lambda done, total: None,
 ) -> Dataset:
-    """Make the dataset in `folder`, or go on with it; the same bytes for any number of workers.
+    """Make the dataset in `folder`, or resume; the same bytes for any number of workers.
 
     Args:
-        config: what to make.
-        folder: where to; made if it is missing.
+        config: the settings.
+        folder: of the dataset; made if it is missing.
         workers: processes on this machine.
         cluster: address of a Dask scheduler, whose workers work instead; `local` starts a cluster
             of `workers` processes on this machine.
-        progress: called with the shards done and all of them.
+        progress: called with the number of shards done and that of all.
 
     Raises:
         DatasetError: the folder holds a dataset of another configuration.
@@ -155,9 +155,9 @@ class Dataset:
     """A dataset in memory; `S` scenes, `N` trajectories a scene.
 
     Attributes:
-        config: what it was made with.
+        config: its settings.
         digest: hash over all shards, which names the data in a model card; `[:n]` behind it means
-            their first n scenes.
+            the first n scenes.
         scenes: the S scenes; the target is goal 0 in each.
         controls: `(S, N, 4, D)` float32 [m], cubic Béziers.
         waypoints: `(S, N, K, D)` float32 [m], between start and goal at equal arc length.
@@ -191,13 +191,13 @@ class Dataset:
                 raise ValueError(f"{table.num_rows} rows for {config.scenes} scenes")
             return cls.of_table(config, digest, table)
         except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
-            raise DatasetError(f"{folder} has a manifest that is not its own") from cause
+            raise DatasetError(f"{folder} has a manifest that does not fit its shards") from cause
 
     def first(self, num: int) -> Dataset:
-        """The first `num` scenes, which are those of a dataset of `num` scenes.
+        """The first `num` scenes, the same as a dataset of `num` scenes.
 
         Raises:
-            InvalidInputError: there are fewer.
+            InvalidInputError: the dataset has fewer.
         """
         if count("scenes", num) > len(self.scenes):
             raise InvalidInputError(f"the data have {len(self.scenes)} scenes, {num} are asked")

@@ -1,6 +1,6 @@
 """Demonstrations on disk: a feedback controller follows a dataset's paths in the environment.
 
-They lie beside the dataset that they are of, under the same rules, a row a demonstration.
+They lie in the folder of their dataset, under the same rules, a row a demonstration.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ class Demonstrations:
     """Demonstrations in memory, `N` of them.
 
     Attributes:
-        config: what they were made with.
-        dataset: of the dataset whose paths they follow.
+        config: their settings.
+        dataset: settings of the dataset whose paths they follow.
         digest: hash over all shards.
         workspace: `(2, D)` [m].
         limit: largest displacement of an action along each axis [m].
-        paths: `(N, K + 2, D)` [m], what they follow.
+        paths: `(N, K + 2, D)` [m], the paths that they follow.
         labels: `(N,)`, of the paths.
-        states: `(T + 1, D)` [m] of each.
-        actions: `(T, D)` [m] of each, as the controller wanted them.
+        states: N arrays `(T + 1, D)` [m].
+        actions: N arrays `(T, D)` [m], as the controller sent them.
         pushed: `(N,)` bool.
     """
 
@@ -74,7 +74,7 @@ class Demonstrations:
             Path(folder), DEMONSTRATIONS, "legibility data --demonstrations"
         )
         try:
-            own = {f.name: content[f.name] for f in fields(DemonstrationsConfig)}
+            settings = {f.name: content[f.name] for f in fields(DemonstrationsConfig)}
             dataset = DatasetConfig.from_dict(content["dataset"])
             dim, limit = dataset.dim, content["limit"]
             workspace = np.array(content["workspace"])
@@ -83,9 +83,9 @@ class Demonstrations:
             states = flat(table["states"]).reshape(-1, dim).astype(np.float64)
             actions = flat(table["actions"]).reshape(-1, dim).astype(np.float64)
         except (LookupError, TypeError, ValueError) as cause:
-            raise DatasetError(f"{folder} has a manifest that is not its own") from cause
+            raise DatasetError(f"{folder} has a manifest that does not fit its shards") from cause
         return cls(
-            config=DemonstrationsConfig(**own),
+            config=DemonstrationsConfig(**settings),
             dataset=dataset,
             digest=digest,
             workspace=workspace,
@@ -106,18 +106,17 @@ def demonstrate(
     cluster: str | None = None,
     progress: ShardProgress = lambda done, total: None,
 ) -> Demonstrations:
-    """Demonstrate paths of the dataset in `folder`, or go on; the same bytes for any workers.
+    """Demonstrate paths of the dataset in `folder`, or resume; the same bytes for any workers.
 
     Args:
         folder: of the dataset.
-        config: what to make.
+        config: the settings.
         workers: processes on this machine.
         cluster: a Dask cluster, see `generate`.
-        progress: called with the shards done and all of them.
+        progress: called with the number of shards done and that of all.
 
     Raises:
-        DatasetError: there is no complete dataset, or there are demonstrations of another
-            configuration.
+        DatasetError: there is no complete dataset, or demonstrations of another configuration.
         OutputError: the folder cannot be written.
         WorkerError: there are no workers, or they die again and again.
     """
@@ -160,10 +159,10 @@ def _shard(
     """Demonstrations in the first scenes of a shard of the dataset.
 
     Args:
-        source: of the dataset.
-        config: of the demonstrations.
+        source: settings of the dataset.
+        config: settings of the demonstrations.
         content: of their manifest.
-        first_scenes: number of the shard's first scene, how many of its scenes, and the shard.
+        first_scenes: index of the shard's first scene, number of its scenes to use, and its bytes.
     """
     first, size, shard = first_scenes
     part = Dataset.of_table(source, "", pq.read_table(io.BytesIO(shard)))
@@ -171,7 +170,7 @@ def _shard(
         np.random.default_rng(stream_seed(source.stream, source.seed, first + i, "demonstration"))
         for i in range(size)
     ]
-    # Flat along ℓ, as the dataset is: one of each of equal parts of its levels.
+    # Flat along ℓ, like the dataset: one path from each of equal parts of its levels.
     edges = np.linspace(0, source.per_scene, config.demonstrations + 1)
     chosen = [np.floor(rng.uniform(edges[:-1], edges[1:])).astype(np.intp) for rng in rngs]
     repeated = [part.scenes[i] for i in range(size) for _ in range(config.demonstrations)]
@@ -211,7 +210,7 @@ def _roll(
     pushed: np.ndarray,
     seeds: list[int],
 ) -> tuple[list[Array], list[Array], np.ndarray]:
-    """States and actions of the controller on `paths`, and whether it reached the goal."""
+    """States and actions of the controller on `paths`, and whether it reached each goal."""
     env = vector_type(None, scenes[0].dim)(len(paths))
     assert config.push is not None
     options = {"scene": scenes, "noise": config.noise, "push": (config.push * pushed).tolist()}
@@ -232,6 +231,6 @@ def _roll(
         tracker.update(positions, previous)
         states.append(positions)
         actions.append(sent)
-    each = zip(np.stack(states, 1), np.stack(actions, 1), lengths, strict=True)
-    cut = [(s[: n + 1], a[:n]) for s, a, n in each]
+    motions = zip(np.stack(states, 1), np.stack(actions, 1), lengths, strict=True)
+    cut = [(s[: n + 1], a[:n]) for s, a, n in motions]
     return [s for s, _ in cut], [a for _, a in cut], success

@@ -1,4 +1,4 @@
-"""Random scenes of a seed stream, each with an archive, both from seeds of their own."""
+"""Random scenes of a seed stream, and their archives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class SceneStream:
     """Random scenes by index; the target is goal 0 in each.
 
     Attributes:
-        stream: one of `STREAMS`: scenes of different streams never meet.
+        stream: one of `STREAMS`, which share no scene.
         dim: 2 or 3.
         goals: least and most goals of a scene, from 2 to 12.
         seed: of the scenes and their archives.

@@ -1,7 +1,7 @@
 """Tables on disk in Parquet shards: the same bytes for any number of workers, resumed, verified.
 
-A folder holds a manifest and shards. A shard is either whole or not there, and carries the
-configuration that it was made with, so an interrupted run goes on where it stopped.
+A folder holds a manifest and shards. A shard is written atomically and carries its configuration,
+so an interrupted run resumes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _CONFIG = b"legibility.config"
 
 
 def shard_bytes(rows: Sequence[dict[str, Any]], config: dict[str, Any]) -> bytes:
-    """A shard of `rows`, with the configuration that they were made with."""
+    """A shard of `rows` of a configuration."""
     columns = {name: pa.array([row[name] for row in rows]) for name in rows[0]}
     table = pa.table(columns).replace_schema_metadata({_CONFIG: _canonical(config)})
     with io.BytesIO() as buffer:
@@ -57,17 +57,17 @@ def make_shards(
     """Make the shards that are missing and the manifest.
 
     Args:
-        folder: made if it is missing.
+        folder: of the shards; made if it is missing.
         manifest: its file name.
-        config: plain values, all that the bytes depend on besides the code.
+        config: plain values that fix the bytes together with the code.
         names: of the shards.
-        make: a shard's bytes from its source; run in other processes, which send them back to be
-            written here, so that they need not share a folder (a shard is about 1 MB).
-        counts: what the manifest shall say there is.
+        make: a shard's bytes from its source; it runs in other processes, and the bytes are written
+            here, so that no folder is shared (a shard is about 1 MB).
+        counts: numbers of items, for the manifest.
         source: of shard i, read here; its number if not given.
         workers: processes on this machine, see `pool`.
         cluster: see `pool`.
-        progress: called with the shards done and all of them.
+        progress: called with the number of shards done and that of all.
 
     Raises:
         DatasetError: the folder holds shards of another configuration.
@@ -75,26 +75,26 @@ def make_shards(
         WorkerError: there are no workers, or they die again and again.
     """
     if (folder / manifest).exists():
-        found = read_manifest(folder, manifest)
-        if found["config"] != config:
+        old = read_manifest(folder, manifest)
+        if old["config"] != config:
             raise DatasetError(
                 f"{folder} holds a dataset of another configuration; choose another folder"
             )
-        if found["complete"]:
-            changed = [s["name"] for s in found["shards"] if not _is_the_one(folder, s)]
+        if old["complete"]:
+            changed = [s["name"] for s in old["shards"] if not _is_intact(folder, s)]
             if not changed:
                 return
-            for name in changed:  # made anew
+            for name in changed:
                 (folder / name).unlink(missing_ok=True)
     content = {"format": _FORMAT, "config": config, "complete": False}
-    with pool(workers, cluster) as each:
+    with pool(workers, cluster) as run:
         write_json(folder / manifest, content)
         for leftover in folder.glob(".*.parquet"):  # of a run that was killed
             leftover.unlink()
         missing = [i for i, name in enumerate(names) if not _is_whole(folder / name, config)]
         done = len(names) - len(missing)
         progress(done, len(names))
-        for index, shard in each(make, [source(i) for i in missing]):
+        for index, shard in run(make, [source(i) for i in missing]):
             write_bytes(folder / names[missing[index]], shard)
             done += 1
             progress(done, len(names))
@@ -108,7 +108,7 @@ def read_shards(folder: Path, manifest: str, again: str) -> tuple[dict[str, Any]
     Args:
         folder: of the shards.
         manifest: its file name.
-        again: the command that completes what is not complete.
+        again: the command that completes the shards.
 
     Raises:
         DatasetError: it is missing, incomplete or changed since it was written.
@@ -128,7 +128,7 @@ def read_shards(folder: Path, manifest: str, again: str) -> tuple[dict[str, Any]
     except DatasetError:
         raise
     except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
-        raise DatasetError(f"{folder} has a manifest that is not its own") from cause
+        raise DatasetError(f"{folder} has a manifest that does not fit its shards") from cause
     return content["config"], digest.hexdigest(), table
 
 
@@ -157,14 +157,14 @@ def _canonical(config: dict[str, Any]) -> bytes:
     return json.dumps(config, sort_keys=True).encode()
 
 
-def _is_the_one(folder: Path, shard: dict[str, str]) -> bool:
-    """Whether a shard is as the manifest says that it was written."""
+def _is_intact(folder: Path, shard: dict[str, str]) -> bool:
+    """Whether a shard has the hash of the manifest."""
     path = folder / shard["name"]
     return path.is_file() and file_hash(path) == shard["sha256"]
 
 
 def _is_whole(path: Path, config: dict[str, Any]) -> bool:
-    """Whether `path` is a shard of `config` that can be read, so that a run may go on from it."""
+    """Whether `path` is a readable shard of `config`, from which a run may resume."""
     try:
         metadata = pq.read_table(path, page_checksum_verification=True).schema.metadata or {}
     except (OSError, pa.ArrowException):

@@ -16,8 +16,9 @@ from ..models.configuration import PathDiffuserConfig
 from ..models.pretrained import pretrained_folder, save_stage
 from ..modulator import Modulator
 from ..training.configuration import FIXED_BY_DATA, PathTrainingConfig
+from ..training.loop import Run
 from ..training.path import check_data, train_path
-from ..training.team import choose_device
+from ..training.team import Team
 from .configuration import AblationsConfig, DialConfig
 from .dial import evaluate_dial
 
@@ -104,7 +105,7 @@ def evaluate_ablations(
     network = Modulator.from_pretrained(model).config
     rows = variants(config, network)
     _check(data, network)
-    choose_device(device)  # refused before anything is made
+    team = Team.join(device)
     parts = {number: data.first(number) for number in {v.scenes for v in rows.values()} if number}
     sources = {
         "validation": data.config.for_validation(),
@@ -135,9 +136,7 @@ def evaluate_ablations(
                 sets["rank-validation" if rank else "validation"],
                 replace(network, field=variant.field),
                 PathTrainingConfig(steps=config.training_steps),
-                folder / name,
-                device,
-                part(config.training_steps),
+                Run(folder / name, team, part(config.training_steps)),
             )
         settings = config.dial(variant.steps, variant.guidance)
         dial = _measured(weights, settings, folder / name / "dial.json", part(config.scenes))
@@ -165,9 +164,7 @@ def _trained(
     validation: Dataset,
     network: PathDiffuserConfig,
     training: PathTrainingConfig,
-    folder: Path,
-    device: str | None,
-    progress: Callable[..., None],
+    run: Run,
 ) -> Path:
     """Train a small run, or resume it; the folder of its weights."""
     settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
@@ -175,11 +172,9 @@ def _trained(
         teacher = PathDiffuserConfig()
         settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
                      "guidance": teacher.guidance}  # fmt: skip
-    trained = train_path(
-        data, validation, folder, training, device=device, progress=progress, **settings
-    )
-    save_stage(folder / "weights", "path", trained, None)
-    return folder / "weights"
+    trained = train_path(data, validation, run, training, **settings)
+    save_stage(run.folder / "weights", "path", trained.model, trained.record)
+    return run.folder / "weights"
 
 
 def _measured(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..checks import Array, count, finite_array, goals_array, positive, prior_array, target_index
 from ..errors import InvalidInputError
 
-__all__ = ["InformationPotentialField"]
+__all__ = ["InformationPotentialField", "potential_of_odds"]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -89,18 +90,12 @@ class InformationPotentialField:
         """
         target = target_index(target, self.num_goals)
         x = finite_array("x", x, min_ndim=1, last=self.dim)
-        # φ = log(1 + Σ exp(logit_g − logit_g*)), stable both ways.
         slope = self._slope - self._slope[:, target, None]
         intercept = self._intercept - self._intercept[target]
         offset = x - self._origin
         # One distractor at a time: sums over a short last axis are slow in NumPy.
         others = (g for g in range(self.num_goals) if g != target)
-        odds = [offset @ slope[:, g] + intercept[g] for g in others]
-        against = odds[0]
-        if len(odds) > 1:
-            top = functools.reduce(np.maximum, odds)
-            against = top + np.log(sum(np.exp(o - top) for o in odds))
-        return np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))
+        return potential_of_odds([offset @ slope[:, g] + intercept[g] for g in others])
 
     def grid(self, workspace: ArrayLike, resolution: int, target: int) -> Array:
         """φ at the centres of a uniform grid over `workspace (2, D)` [m].
@@ -114,3 +109,18 @@ class InformationPotentialField:
         axes = [low + centres * (high - low) for low, high in workspace.T]
         points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
         return self.potential(points, target)
+
+
+def potential_of_odds(odds: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """`φ = log(1 + Σ_g exp(odds_g))` (eq. 3) of log odds `log P(g|x) − log P(g*|x)`, `(...)`.
+
+    Stable for odds of any size, and of their dtype.
+
+    Args:
+        odds: of each of the G − 1 distractors, `(...)`.
+    """
+    against = odds[0]
+    if len(odds) > 1:
+        top = functools.reduce(np.maximum, odds)
+        against = top + np.log(sum(np.exp(o - top) for o in odds))
+    return np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))

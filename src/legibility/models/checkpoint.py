@@ -1,4 +1,4 @@
-"""Tensors on disk: safetensors with a JSON header, whole or not there, loaded strictly."""
+"""Tensors on disk: safetensors with a JSON header, written atomically, loaded strictly."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ..files import write_bytes
 
 
 def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], header: Any = None) -> None:
-    """Write `tensors` and a JSON `header` to `path`, atomically and in a fixed order."""
+    """Write `tensors` and a JSON `header` to `path`, atomically; the order of `tensors` is free."""
     plain = {k: tensors[k].detach().contiguous().cpu() for k in sorted(tensors)}
-    metadata = {"header": json.dumps(header, sort_keys=True)}
+    metadata = {"header": json.dumps(header)}
     write_bytes(path, save(plain, metadata=metadata))
 
 
@@ -41,10 +41,10 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], Any]:
 
 
 def load_state(module: nn.Module, tensors: Mapping[str, Tensor], source: str | Path) -> None:
-    """Load `tensors` into `module`: every tensor of it, none else, of its shapes, all finite.
+    """Load `tensors` into `module`, which must have the same names and shapes; all are finite.
 
     Raises:
-        CheckpointError: anything else, naming the first difference.
+        CheckpointError: they differ or are not finite; the message names the first difference.
     """
     state = module.state_dict()
     missing, unknown = sorted(set(state) - set(tensors)), sorted(set(tensors) - set(state))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..checks import Array
 from ..errors import InvalidSceneError
-from ..intent.field import InformationPotentialField
+from ..intent.field import InformationPotentialField, potential_of_odds
 from ..scene import DEFAULT_WORKSPACE, Scene
 
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.0, 1.0))
@@ -119,9 +119,7 @@ def scene_image(
     odds = np.empty((len(slopes), grid.shape[1]), dtype=np.float32)
     for i in range(0, len(slopes), _FEW):
         odds[i : i + _FEW] = slopes[i : i + _FEW] @ grid + intercepts[i : i + _FEW, None]
-    against = odds.max(axis=0)
-    against += np.log(np.exp(odds - against).sum(axis=0))
-    potential = np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))
+    potential = potential_of_odds(odds)
     low, high = scene.workspace
     offset = (scene.start - (low + high) / 2) / frame.scale
     aside = np.abs(frame.rotation.T @ grid + offset[:, None])

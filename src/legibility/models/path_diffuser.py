@@ -69,15 +69,18 @@ class Conditions:
 
     def potential(self, points: Tensor) -> Tensor:
         """φ `(B, K)` at points `(B, K, D)`."""
-        odds = torch.baddbmm(self.intercepts[..., None], self.slopes, points.transpose(1, 2))
-        return F.softplus(odds.logsumexp(dim=1))
+        return self._odds(points)[1]
 
     def potential_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """φ `(B, K)` at points `(B, K, D)` and its gradient there, `(B, K, D)`."""
-        odds = points @ self.slopes.transpose(1, 2) + self.intercepts[:, None]
-        against = torch.logsumexp(odds, dim=-1, keepdim=True)
-        shares = torch.exp(odds - against) * torch.sigmoid(against)
-        return F.softplus(against[..., 0]), shares @ self.slopes
+        """φ `(B, K)` at points `(B, K, D)` and `∇φ = Σ_g P(g|x) slope_g` there, `(B, K, D)`."""
+        odds, potential = self._odds(points)
+        posterior = torch.exp(odds - potential[:, None])
+        return potential, posterior.transpose(1, 2) @ self.slopes
+
+    def _odds(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Log odds of the distractors, `(B, M, K)`, at points `(B, K, D)`, and φ `(B, K)`."""
+        odds = self.slopes @ points.transpose(1, 2) + self.intercepts[..., None]
+        return odds, F.softplus(odds.logsumexp(dim=1))
 
     def distractors(self) -> tuple[Tensor, Tensor]:
         """Features `(B, M, 2D + 1)` of each distractor, and whether there is one, `(B, M)`.

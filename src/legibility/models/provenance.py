@@ -5,29 +5,42 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+__all__ = ["Source", "TeacherRecord", "TrainingRecord"]
+
 
 @dataclass(frozen=True)
-class TrainingRecord:
-    """How the weights of one stage were made.
+class Source:
+    """What a model learned from.
 
     Attributes:
         data: settings of the dataset.
-        digest: hash of the data, or of the demonstrations that were learned from.
-        training: settings of the training.
-        parameters: number of parameters.
-        seconds: duration of the training, validation included [s].
-        step_seconds: duration of a step, the fastest tenth of the log [s].
-        device: where it ran.
-        processes: how many trained together.
-        precision: of the network's products.
-        threads: of each process.
-        torch: version of PyTorch.
-        demonstrations: settings and number of the demonstrations, of a policy.
-        teacher: of a model that was distilled.
+        digest: hash of the dataset, or of the demonstrations for a policy.
+        demonstrations: settings and number of the demonstrations, for a policy.
+        teacher: of a distilled model.
     """
 
     data: dict[str, Any]
     digest: str
+    demonstrations: dict[str, Any] | None = None
+    teacher: TeacherRecord | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingRecord(Source):
+    """How the weights of one stage were made: from a `Source`, by a training.
+
+    Attributes:
+        training: settings of the training.
+        parameters: number of parameters.
+        seconds: duration of the training, validation included [s].
+        step_seconds: duration of a step, the fastest tenth of the log [s].
+        device: device of the training.
+        processes: number of processes that trained together.
+        precision: of the network's products.
+        threads: of each process.
+        torch: version of PyTorch.
+    """
+
     training: dict[str, Any]
     parameters: int
     seconds: float
@@ -37,8 +50,6 @@ class TrainingRecord:
     precision: str
     threads: int
     torch: str
-    demonstrations: dict[str, Any] | None = None
-    teacher: TeacherRecord | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, without those that do not apply."""
@@ -66,7 +77,7 @@ class TeacherRecord:
         sha256: of its weights.
         sampling_steps: of its sampler.
         guidance: its weight of classifier-free guidance.
-        training: how it was made itself; None if that is not known.
+        training: its own record; None if unknown.
     """
 
     sha256: str

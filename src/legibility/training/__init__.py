@@ -1,1 +1,1 @@
-"""How weights are made: one loop for every model, and what each is trained on."""
+"""Training: one loop for all models, and the data and losses of each."""

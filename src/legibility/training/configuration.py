@@ -16,24 +16,24 @@ __all__ = [
 ]
 
 FIXED_BY_DATA = ("dim", "observer")
-"""Settings of stage 1 that its data fix."""
+"""Settings of stage 1 that follow from its data."""
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How a model is trained; each stage has settings of its own besides.
+    """Settings of a training that all models share.
 
     Attributes:
         steps: optimiser steps.
-        learning_rate: its highest value, after the warm-up; it ends at 0 (cosine).
+        learning_rate: its highest value, after the warm-up; from there it falls to 0 (cosine).
         warmup: steps of linear warm-up.
         weight_decay: of AdamW.
-        dropout: probability that what guides the model is dropped: field and ℓ together of stage 1,
-            the path of stage 2, the goal of a baseline.
-        ema: decay of the exponential moving average of the weights, which is what is kept.
-        seed: of the weights and of every batch.
-        validate_every: steps between validations of the dial.
-        checkpoint_every: steps between checkpoints.
+        dropout: probability of dropping the condition: field and ℓ together in stage 1, the path in
+            stage 2, the goal in a baseline.
+        ema: decay of the exponential moving average of the weights, which is the trained model.
+        seed: of the initial weights and of every batch.
+        validate_every: steps between validations; a resumed run may change it.
+        checkpoint_every: steps between checkpoints; a resumed run may change it.
     """
 
     steps: int = 12000
@@ -60,14 +60,14 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class PathTrainingConfig(TrainingConfig):
-    """How stage 1 is trained.
+    """Settings of the training of stage 1.
 
     Attributes:
         scenes: scenes in a batch.
         per_scene: trajectories of each scene in a batch.
-        score_weight: weight of the loss on the achieved label against that on the velocity.
-        wall_weight: the same of the mean distance by which the denoised curve is outside the
-            workspace, in lengths of the straight line.
+        score_weight: weight of the loss on the achieved label; that on the velocity weighs 1.
+        wall_weight: weight of the mean distance of the denoised curve outside the workspace, in
+            lengths of the straight line.
     """
 
     scenes: int = 128
@@ -85,13 +85,13 @@ class PathTrainingConfig(TrainingConfig):
 
 @dataclass(frozen=True)
 class DistillationConfig(PathTrainingConfig):
-    """How a student is trained.
+    """Settings of the distillation of a student.
 
     Attributes:
-        sampling_steps: of the student.
-        pairs: of noise and path that the teacher draws in each scene, ℓ evenly over the dial.
-        ends: share of them at ℓ = ±1.
-        jerk_weight: weight of the loss on what the paths have more of jerk than the teacher's.
+        sampling_steps: steps in which the student draws.
+        pairs: pairs of noise and path that the teacher draws in each scene, evenly over the dial.
+        ends: share of the pairs at ℓ = ±1.
+        jerk_weight: weight of the loss on jerk beyond that of the teacher's paths.
     """
 
     steps: int = 4000
@@ -106,7 +106,7 @@ class DistillationConfig(PathTrainingConfig):
         super().__post_init__()
         if self.dropout:
             raise InvalidInputError(
-                f"dropout must be 0, as a student never is without conditions, got {self.dropout}"
+                f"dropout must be 0, as a student always has its conditions, got {self.dropout}"
             )
         count("sampling_steps", self.sampling_steps)
         count("pairs", self.pairs)
@@ -117,7 +117,7 @@ class DistillationConfig(PathTrainingConfig):
 
 @dataclass(frozen=True)
 class PolicyTrainingConfig(TrainingConfig):
-    """How a policy is trained.
+    """Settings of the training of a policy.
 
     Attributes:
         batch: steps of demonstrations in a batch.

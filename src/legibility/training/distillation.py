@@ -1,9 +1,9 @@
-"""How stage 1 is made fast: a student that draws in one step what its teacher draws guided in many.
+"""Distillation of stage 1: a student draws in one step what its teacher draws in many, guided.
 
-Guidance and steps of the teacher are distilled at once (Luhman & Luhman 2021; Meng et al. 2023):
-from the same noise the student is to end where the teacher ends. As its path is known after the one
-step, the label that the path achieves is a loss as well, so that the dial may be the more exact.
-That alone would have it gain the last of ±1 by waves, so that jerk beyond the teacher's costs too.
+Guidance and steps of the teacher are distilled together (Luhman & Luhman 2021; Meng et al. 2023):
+the student learns to map the same noise to the same path. One step yields the final path, so its
+achieved label is a second loss, which makes the dial more exact. On its own that loss would reach
+ℓ = ±1 by waves, so jerk beyond the teacher's costs too.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -21,19 +20,20 @@ from ..data.dataset import Dataset
 from ..errors import InvalidInputError
 from ..models.diffusion import sampling_timesteps
 from ..models.path_diffuser import PathDiffuser
+from ..models.provenance import Source, TeacherRecord
 from .configuration import DistillationConfig
-from .loop import Progress, train
+from .loop import Run, Trained, train
 from .path import PathBatches, check_data, validate_dial
 from .team import Team
 
 __all__ = ["DistillationBatches", "distill_path"]
 
-_AT_ONCE = 16  # scenes that the teacher draws for
-_SMOOTH = 0.01  # added to a jerk, so that what is far below it makes no difference
+_AT_ONCE = 16  # scenes for which the teacher draws at a time
+_SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
 
 
 class DistillationBatches(PathBatches):
-    """What the teacher draws in every scene of the dataset, and the loss of the student."""
+    """The teacher's paths in every scene of the dataset, and the loss of the student."""
 
     config: DistillationConfig
 
@@ -51,7 +51,7 @@ class DistillationBatches(PathBatches):
         self.noise = torch.empty(0)
 
     def draw(self) -> None:
-        """Let the teacher draw what the student learns: waypoints from noise, for labels."""
+        """Let the teacher draw the paths that the student learns, from noise and for labels."""
         num, pairs, device = len(self.labels), self.config.pairs, self.team.device
         generator = torch.Generator().manual_seed(self.config.seed)
         shape = (num, pairs, *self.waypoints.shape[2:])
@@ -64,7 +64,7 @@ class DistillationBatches(PathBatches):
         self.teacher.to(device)
         try:
             for first in range(0, num, _AT_ONCE):
-                self.drawn(first, num)
+                self._report(first)
                 rows = slice(first, first + _AT_ONCE)
                 scenes = torch.arange(num)[rows].repeat_interleave(pairs).to(device)
                 self.waypoints[rows] = self.teacher.sample(
@@ -74,13 +74,17 @@ class DistillationBatches(PathBatches):
                 ).unflatten(0, (-1, pairs))
         finally:
             self.teacher.to(before)
-        self.drawn(num, num)
+        self._report(num)
         self.noise = noise
+
+    def _report(self, scenes: int) -> None:
+        if self.team.main:
+            self.drawn(scenes, len(self.labels))
 
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared distance from the teacher's paths; the achieved label, walls and jerk besides."""
+        """Squared distance from the teacher's paths, plus losses on label, walls and jerk."""
         if not len(self.noise):
             self.draw()
         config, per = self.config, self.config.per_scene
@@ -100,7 +104,7 @@ class DistillationBatches(PathBatches):
         path_loss = F.mse_loss(model.to_latent(found), model.to_latent(taught))
         points = self.scorer.curve(found)
         achieved = self.scorer.label(conditions, each, points)
-        # Labels end at ±1, the scores beyond do not: there only what falls short is wrong.
+        # Labels end at ±1, scores go beyond: at the ends only a path that falls short is wrong.
         beyond = (level.abs() == 1) & (achieved * level > 1)
         label_loss = F.smooth_l1_loss(torch.where(beyond, level, achieved), level, beta=0.1)
         wall_loss = F.relu(-conditions.wall_distance(points)).mean()
@@ -111,9 +115,9 @@ class DistillationBatches(PathBatches):
         return total, {name: part.detach() for name, part in parts.items()}
 
     def _jerk(self, waypoints: Tensor) -> Tensor:
-        """`(B,)`: squared third differences along paths of waypoints `(B, K, D)` in the frame.
+        """`(B,)`: squared third differences along paths of waypoints `(B, K, D)`, plus `_SMOOTH`.
 
-        In squared lengths of the straight line, and `_SMOOTH` more.
+        In squared lengths of the straight line.
         """
         return self.scorer.path(waypoints).diff(n=3, dim=1).square().sum((1, 2)) + _SMOOTH
 
@@ -122,30 +126,30 @@ def distill_path(
     teacher: PathDiffuser,
     data: Dataset,
     validation: Dataset,
-    folder: str | Path,
+    run: Run,
     config: DistillationConfig | None = None,
     *,
-    device: str | None = None,
-    precision: str | None = None,
-    progress: Progress = lambda step, steps, figures: None,
+    record: TeacherRecord | None = None,
     drawn: Callable[[int, int], None] = lambda done, total: None,
-) -> PathDiffuser:
-    """Train a student that draws what `teacher` draws, in fewer steps and without guidance.
+) -> Trained[PathDiffuser]:
+    """Train a student that draws the paths of `teacher` in fewer steps and without guidance.
 
     Args:
         teacher: a trained stage 1.
         data: of the teacher's labels; the student learns in its scenes.
-        validation: of another seed stream; its scenes measure the dial while training.
-        folder: of the checkpoint and the log; an interrupted run goes on from there, once the
-            teacher has drawn again.
+        validation: of another seed stream; its scenes measure the dial during training.
+        run: where to train; a resumed run lets the teacher draw again.
         config: how to train.
-        device: where to; a GPU where there is one.
-        precision: no (float32), bf16 or fp16, see `Team.join`.
-        progress: see `train`.
-        drawn: called with the scenes that the teacher has drawn for, and all of them.
+        record: of the teacher; made from its weights if not given.
+        drawn: called with the number of scenes for which the teacher has drawn, and that of all.
 
     Returns:
-        The student, on the CPU: a stage 1 as any other, with `sampling_steps` of its own.
+        The student, a stage 1 like any other, with its own `sampling_steps`.
+
+    Raises:
+        InvalidInputError: the data are of another observer than the teacher, or the student has
+            more sampling steps than diffusion has.
+        CheckpointError: see `train`.
     """
     config = config or DistillationConfig()
     if config.sampling_steps > teacher.config.diffusion_steps:
@@ -154,35 +158,25 @@ def distill_path(
             f"got {config.sampling_steps}"
         )
     check_data(teacher.config, data, validation)
-    team = Team.join(device, precision)
     settings = replace(
         teacher.config, sampling_steps=config.sampling_steps, guidance=0.0, distilled=True
     )
-    student = PathDiffuser(settings).to(team.device)
+    student = PathDiffuser(settings).to(run.team.device)
     student.load_state_dict(teacher.state_dict())
-    student.no_level.requires_grad_(False)  # it is never without conditions
+    student.no_level.requires_grad_(False)  # a student always has its conditions
     student.no_field.requires_grad_(not settings.field)
-    batches = DistillationBatches(
-        data, teacher, config, team, drawn if team.main else lambda done, total: None
+    batches = DistillationBatches(data, teacher, config, run.team, drawn)
+    checks = PathBatches(validation, student, config, run.team)
+    record = record or TeacherRecord(
+        _digest(teacher), teacher.config.sampling_steps, teacher.config.guidance
     )
-    checks = PathBatches(validation, student, config, team)
-    identity = {"model": settings.to_dict(), "data": data.digest, "teacher": _digest(teacher)}
-    trained = train(
-        student,
-        batches.loss,
-        lambda m: validate_dial(m, checks),
-        config,
-        folder,
-        identity=identity,
-        team=team,
-        progress=progress,
-    )
-    return trained.to("cpu")
+    source = Source(data.config.to_dict(), data.digest, teacher=record)
+    return train(student, batches.loss, lambda m: validate_dial(m, checks), config, run, source)
 
 
 def _digest(model: PathDiffuser) -> str:
-    """SHA-256 over the settings and the weights."""
-    found = hashlib.sha256(repr(model.config).encode())
+    """SHA-256 over the weights."""
+    digest = hashlib.sha256()
     for name, tensor in sorted(model.state_dict().items()):
-        found.update(name.encode() + tensor.cpu().numpy().tobytes())
-    return found.hexdigest()
+        digest.update(name.encode() + tensor.cpu().numpy().tobytes())
+    return digest.hexdigest()

@@ -1,160 +1,236 @@
-"""How weights are made: one loop that logs, validates, checkpoints and resumes bit for bit.
+"""One training loop for every model: it logs, validates, checkpoints and resumes bit for bit.
 
-Every random number of a step comes from the seed and the step's number, so on a CPU a run that was
-killed and resumed with the same number of threads makes the same weights as one that was not, and
-several processes, each of which draws the numbers of the whole batch and uses its share, take the
-steps of one.
+All random numbers of a step follow from the seed and the number of the step. So a run on a CPU that
+was killed and resumed with the same number of threads ends with the weights of one that was not,
+and several processes, each of which draws the numbers of the whole batch and uses its share, take
+the steps of one.
 """
 
 from __future__ import annotations
 
-import copy
-import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from ..errors import CheckpointError, TrainingError
-from ..files import read_text, write_bytes
-from ..models.checkpoint import load_state, load_tensors, save_tensors
+from ..models.diffusion import noise_schedule
+from ..models.provenance import Source, TrainingRecord
 from .configuration import TrainingConfig
+from .state import State
 from .team import Team
 
-__all__ = ["CHECKPOINT", "LOG", "Progress", "train"]
+__all__ = ["CHECKPOINT", "LOG", "Progress", "Run", "Trained", "new_model", "train"]
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
 
+_LOG_EVERY = 50
+_INTERVALS = ("validate_every", "checkpoint_every")
+"""Settings that do not change the weights, so a resumed run may have others."""
 
 M = TypeVar("M", bound=nn.Module)
 Progress = Callable[[int, int, dict[str, float]], None]
+Loss = Callable[[M, torch.Generator], tuple[Tensor, dict[str, Tensor]]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Where a model is trained.
+
+    Attributes:
+        folder: of the checkpoint and the log, seen by all processes; an interrupted run resumes
+            from there.
+        team: the processes that train.
+        progress: called by the main process after each step with the number of steps done, that of
+            all steps, and the metrics if they were logged.
+    """
+
+    folder: Path
+    team: Team = field(default_factory=Team.join)
+    progress: Progress = lambda step, steps, metrics: None
+
+
+@dataclass(frozen=True)
+class Trained(Generic[M]):
+    """The result of a training.
+
+    Attributes:
+        model: the moving average of the weights, on the CPU.
+        record: how it was made.
+        metrics: the last value of each metric in the log.
+    """
+
+    model: M
+    record: TrainingRecord
+    metrics: dict[str, float]
+
+
+def new_model(network: Callable[[Any], M], config: Any, seed: int) -> M:
+    """A network of `config` with the initial weights of a seed and its noise schedule."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        model = network(config)
+    model.signal.copy_(noise_schedule(config.diffusion_steps))  # pyright: ignore
+    return model
 
 
 def train(
     model: M,
-    loss: Callable[[M, torch.Generator], tuple[Tensor, dict[str, Tensor]]],
+    loss: Loss[M],
     validate: Callable[[M], dict[str, float]],
     config: TrainingConfig,
-    folder: str | Path,
-    *,
-    identity: dict[str, Any],
-    team: Team,
-    progress: Progress = lambda step, steps, figures: None,
-) -> M:
-    """Train `model` in `folder`, or go on with it, and return its moving average.
+    run: Run,
+    source: Source,
+) -> Trained[M]:
+    """Train `model`, or resume its training, in the folder of a run.
+
+    A run that is complete is not trained again: its model is that of the checkpoint.
 
     Args:
-        model: already on the device it shall be trained on.
-        loss: of the model and a generator for all of the step's random numbers: the loss and
-            figures to log, whose means over the processes are those of the whole batch.
-        validate: figures of a model, logged every `validate_every` steps.
+        model: on the device of the run's team.
+        loss: of the model and a generator for all random numbers of the step: the loss and the
+            metrics to log, whose means over the processes are those of the whole batch.
+        validate: metrics of a model, logged every `validate_every` steps.
         config: how to train.
-        folder: of the checkpoint and the log.
-        identity: what this run is (data, model); a checkpoint of another is refused.
-        team: of this process; all must see `folder`.
-        progress: called by the main process after each step with the steps done, all of them and
-            what was logged, if anything was.
+        run: where to train.
+        source: what the model learns from.
 
     Raises:
         CheckpointError: the folder's checkpoint is corrupted or of another run.
+        TrainingError: the loss is not finite.
     """
-    folder = Path(folder)
-    average = copy.deepcopy(model).requires_grad_(False).eval()
-    parameters = _trained(model)
-    optimizer = torch.optim.AdamW(
-        parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-    )
-    scaler = team.scaler()
-    identity = {**identity, "training": asdict(config)}
-    if team.precision != "no":
-        identity["precision"] = team.precision
+    team, checkpoint = run.team, run.folder / CHECKPOINT
+    settings = _settings(model, config, team, source)
+    state = State(model, config)
     if team.main:
-        for leftover in folder.glob(".*.safetensors"):  # of a run that was killed
+        for leftover in run.folder.glob(".*.safetensors"):  # of a run that was killed
             leftover.unlink()
-    done, seconds = 0, 0.0
-    if (folder / CHECKPOINT).exists():
-        done, seconds = _restore(folder / CHECKPOINT, model, average, optimizer, identity)
-    if (found := float(team.mean([torch.tensor(float(done), device=team.device)])[0])) != done:
-        raise CheckpointError(
-            f"not all processes see the same {folder / CHECKPOINT}: "
-            f"it is at step {done} here, at {found:g} in the mean"
-        )
-    log = _Log(folder, done) if team.main else None
-    _keep_memory()
-    generator = torch.Generator()
-    started = time.perf_counter() - seconds
+    if checkpoint.exists():
+        state.restore(checkpoint, settings)
+    _check_same_step(state.step, team, checkpoint)
+    if team.main:
+        state.log.write(run.folder / LOG)
+    board = _tensorboard(run.folder, state.step) if team.main else None
+    scaler, generator = team.scaler(), torch.Generator()
+    started = time.perf_counter() - state.seconds
     model.train()
     try:
-        for step in range(done, config.steps):
+        for step in range(state.step, config.steps):
             generator.manual_seed(_mix(config.seed, step))
-            for group in optimizer.param_groups:
-                group["lr"] = config.learning_rate * _schedule(step, config)
-            with team.products():
-                value, figures = loss(model, generator)
-                optimizer.zero_grad(set_to_none=True)
-                scaler.scale(value).backward()
-            if team.size > 1:
-                gradients = [p.grad for p in parameters if p.grad is not None]
-                for own, mean in zip(gradients, team.mean(gradients), strict=True):
-                    own.copy_(mean)
-            scaler.unscale_(optimizer)
-            nn.utils.clip_grad_norm_(parameters, 1.0)
-            scaler.step(optimizer)
-            scaler.update()
-            _average(average, model, min(config.ema, (1 + step) / (10 + step)))
-
-            finished = step + 1
-            last = finished == config.steps
-            seconds = time.perf_counter() - started
-            row: dict[str, float] = {}
-            if last or finished % config.checkpoint_every == 0 or finished % 50 == 0:
-                figures = {"loss": value.detach(), **figures}
-                means = team.mean(list(figures.values()))
-                row = {k: float(v) for k, v in zip(figures, means, strict=True)}
-                if not math.isfinite(row["loss"]):
+            parts = _take_step(state, loss, generator, config, team, scaler)
+            state.step, state.seconds = step + 1, time.perf_counter() - started
+            last = state.step == config.steps
+            validates = last or state.step % config.validate_every == 0
+            saves = last or state.step % config.checkpoint_every == 0
+            metrics: dict[str, float] = {}
+            if validates or saves or state.step % _LOG_EVERY == 0:
+                means = team.mean(list(parts.values()))
+                metrics = {name: float(mean) for name, mean in zip(parts, means, strict=True)}
+                if not math.isfinite(metrics["loss"]):
                     raise TrainingError(
-                        f"the loss is {row['loss']} at step {finished}; try a lower learning_rate"
+                        f"the loss is {metrics['loss']} at step {state.step}; "
+                        "try a lower learning_rate"
                     )
-            if log is None:
+            if validates and team.main:
+                metrics |= validate(state.average)
+            if metrics:
+                times = {"step": state.step, "seconds": round(state.seconds, 3)}
+                state.log.rows.append(times | metrics)
+            if not team.main:
                 continue
-            if last or finished % config.validate_every == 0:
-                row |= validate(average)
-            if row:
-                log.write({"step": finished, "seconds": round(seconds, 3), **row})
-            progress(finished, config.steps, row)
-            if last or finished % config.checkpoint_every == 0:
-                _store(folder / CHECKPOINT, model, average, optimizer, identity, finished, seconds)
+            if metrics:
+                state.log.write(run.folder / LOG)
+                if board:
+                    for name, value in metrics.items():
+                        board.add_scalar(name, value, state.step)
+            run.progress(state.step, config.steps, metrics)
+            if saves:
+                state.save(checkpoint, settings)
     finally:
-        if log is not None:
-            log.close()
-    return average
+        if board:
+            board.close()
+    return Trained(state.average.to("cpu"), _record(state, config, team, source), state.log.last)
 
 
-def _keep_memory() -> None:
-    """Let the C library keep what a step frees for the next one, which else waits for new pages.
+def _take_step(
+    state: State[M],
+    loss: Loss[M],
+    generator: torch.Generator,
+    config: TrainingConfig,
+    team: Team,
+    scaler: torch.amp.GradScaler,
+) -> dict[str, Tensor]:
+    """Take one step of the optimiser and of the average; the loss and its parts."""
+    optimizer, parameters = state.optimizer, state.parameters
+    for group in optimizer.param_groups:
+        group["lr"] = config.learning_rate * _schedule(state.step, config)
+    value, parts = loss(state.model, generator)
+    optimizer.zero_grad(set_to_none=True)
+    scaler.scale(value).backward()
+    if team.size > 1:
+        gradients = [p.grad for p in parameters if p.grad is not None]
+        for gradient, mean in zip(gradients, team.mean(gradients), strict=True):
+            gradient.copy_(mean)
+    scaler.unscale_(optimizer)
+    nn.utils.clip_grad_norm_(parameters, 1.0)
+    scaler.step(optimizer)
+    scaler.update()
+    state.update_average(min(config.ema, (1 + state.step) / (10 + state.step)))  # faster at first
+    return {"loss": value.detach(), **parts}
 
-    glibc returns memory to the system block by block until it has seen a large block freed, of up
-    to 32 MB; elsewhere this does nothing.
-    """
-    torch.empty(31 << 20, dtype=torch.uint8)
+
+def _check_same_step(step: int, team: Team, checkpoint: Path) -> None:
+    mean = float(team.mean([torch.tensor(float(step), device=team.device)])[0])
+    if mean != step:
+        raise CheckpointError(
+            f"not all processes see the same {checkpoint}: "
+            f"it is at step {step} here, at {mean:g} in the mean"
+        )
 
 
-def _trained(model: nn.Module) -> list[nn.Parameter]:
-    return [p for p in model.parameters() if p.requires_grad]
+def _settings(
+    model: nn.Module, config: TrainingConfig, team: Team, source: Source
+) -> dict[str, Any]:
+    """The settings that fix the weights, which a resumed run must repeat."""
+    network: Any = model.config
+    settings: dict[str, Any] = {"model": network.to_dict(), "data": {"sha256": source.digest}}
+    if source.teacher:
+        settings["teacher"] = {k: v for k, v in vars(source.teacher).items() if k != "training"}
+    settings["training"] = {k: v for k, v in asdict(config).items() if k not in _INTERVALS}
+    return {**settings, "precision": team.precision}
 
 
-@torch.no_grad()
-def _average(average: nn.Module, model: nn.Module, decay: float) -> None:
-    """Exponential moving average of the weights; it forgets faster in the first steps."""
-    for old, new in zip(average.parameters(), model.parameters(), strict=True):
-        old.lerp_(new, 1 - decay)
+def _record(
+    state: State[Any], config: TrainingConfig, team: Team, source: Source
+) -> TrainingRecord:
+    return TrainingRecord(
+        **vars(source),
+        training=asdict(config),
+        parameters=sum(p.numel() for p in state.model.parameters()),
+        seconds=round(state.seconds, 3),
+        step_seconds=state.log.step_seconds,
+        device=str(team.device),
+        processes=team.size,
+        precision=team.precision,
+        threads=torch.get_num_threads(),
+        torch=torch.__version__,
+    )
+
+
+def _tensorboard(folder: Path, step: int) -> Any:
+    """A writer of metrics after `step` for TensorBoard, or None where it is not installed."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
 
 
 def _mix(seed: int, step: int) -> int:
@@ -163,93 +239,8 @@ def _mix(seed: int, step: int) -> int:
 
 
 def _schedule(step: int, config: TrainingConfig) -> float:
+    """Share of the learning rate: linear warm-up, then a cosine down to 0."""
     if step < config.warmup:
         return (step + 1) / config.warmup
     progress = (step - config.warmup) / max(1, config.steps - config.warmup)
     return 0.5 * (1 + math.cos(math.pi * progress))
-
-
-def _store(
-    path: Path,
-    model: nn.Module,
-    average: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    identity: dict[str, Any],
-    step: int,
-    seconds: float,
-) -> None:
-    tensors = {f"model.{k}": v for k, v in model.state_dict().items()}
-    tensors |= {f"average.{k}": v for k, v in average.state_dict().items()}
-    for index, state in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{index}.{k}": v for k, v in state.items()}
-    save_tensors(path, tensors, {**identity, "step": step, "seconds": seconds})
-
-
-def _restore(
-    path: Path,
-    model: nn.Module,
-    average: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    identity: dict[str, Any],
-) -> tuple[int, float]:
-    tensors, header = load_tensors(path)
-    try:
-        step, seconds = header.pop("step"), header.pop("seconds")
-    except (AttributeError, KeyError, TypeError) as cause:
-        raise CheckpointError(f"{path} is not a training checkpoint") from cause
-    if header != json.loads(json.dumps(identity)):
-        wanted = json.loads(json.dumps(identity))
-        changed = [k for k in {**wanted, **header} if header.get(k) != wanted.get(k)]
-        raise CheckpointError(f"{path} is of another run ({', '.join(changed)} differ)")
-    groups: dict[str, dict[str, Tensor]] = {"model": {}, "average": {}, "optimizer": {}}
-    for name, tensor in tensors.items():
-        head, rest = name.split(".", 1)
-        groups[head][rest] = tensor
-    load_state(model, groups["model"], path)
-    load_state(average, groups["average"], path)
-    state: dict[int, dict[str, Tensor]] = {}
-    for index, parameter in enumerate(_trained(model)):
-        shapes = {"step": (), "exp_avg": parameter.shape, "exp_avg_sq": parameter.shape}
-        state[index] = {}
-        for key, shape in shapes.items():
-            tensor = groups["optimizer"].get(f"{index}.{key}")
-            if tensor is None or tensor.shape != shape or not torch.isfinite(tensor).all():
-                raise CheckpointError(f"{path}: optimizer.{index}.{key} is missing or broken")
-            # Laid out as the weight, since the fused step rounds by the place in memory.
-            state[index][key] = torch.empty_like(parameter if shape else tensor).copy_(tensor)
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-    return step, seconds
-
-
-class _Log:
-    """JSONL always, TensorBoard where it is installed; rows after the checkpoint are dropped."""
-
-    def __init__(self, folder: Path, done: int) -> None:
-        self._path = folder / LOG
-        text = read_text(self._path, "log", CheckpointError) if self._path.exists() else ""
-        whole = [row for row in text.splitlines() if row.endswith("}")]
-        try:
-            self._rows = [row for row in whole if json.loads(row)["step"] <= done]
-        except (ValueError, LookupError, TypeError) as cause:
-            raise CheckpointError(f"{self._path} is not a training log") from cause
-        self._save()
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            self._board = None
-        else:
-            self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=done + 1)
-
-    def write(self, row: dict[str, float]) -> None:
-        self._rows.append(json.dumps(row))
-        self._save()
-        if self._board is not None:
-            for name in row.keys() - {"step"}:
-                self._board.add_scalar(name, row[name], int(row["step"]))
-
-    def _save(self) -> None:
-        write_bytes(self._path, "".join(row + "\n" for row in self._rows).encode())
-
-    def close(self) -> None:
-        if self._board is not None:
-            self._board.close()

@@ -1,8 +1,7 @@
-"""How stage 1 is trained: its batches, its loss, and the dial on validation scenes."""
+"""Training of stage 1: its batches, its loss, and the dial on validation scenes."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,12 @@ from ..data.dataset import LABEL_KNOTS, Dataset
 from ..errors import InvalidInputError
 from ..intent.metrics import SCORE_POINTS
 from ..models.configuration import PathDiffuserConfig
-from ..models.diffusion import noise_schedule, noised
+from ..models.diffusion import noised
 from ..models.frame import Frame
 from ..models.path_diffuser import Conditions, PathDiffuser
+from ..models.provenance import Source
 from .configuration import FIXED_BY_DATA, PathTrainingConfig
-from .loop import Progress, train
+from .loop import Run, Trained, new_model, train
 from .team import Team
 
 __all__ = [
@@ -34,7 +34,7 @@ _LEAST_COST = 1e-30
 
 
 class PathBatches:
-    """The dataset as tensors on a device, and the loss of stage 1 over random batches of it."""
+    """A dataset as tensors on a device, and the loss of stage 1 over random batches of it."""
 
     def __init__(
         self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, team: Team
@@ -56,7 +56,7 @@ class PathBatches:
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared error of the velocity; the denoised path's achieved label and walls besides."""
+        """Squared error of the velocity, plus losses on the denoised path's label and walls."""
         config, steps = self.config, model.config.diffusion_steps
         num, per = config.scenes, config.per_scene
         scenes = torch.randint(len(self.labels), (num,), generator=generator)
@@ -67,23 +67,22 @@ class PathBatches:
         scenes, chosen, timestep, noise, keep = (
             x.to(self.team.device) for x in (scenes, chosen, timestep, noise, keep)
         )
-        # What the path would achieve if denoised at once. Under much noise that is a mean over many
-        # paths, whose label says little: it counts by the signal squared, and not under the most.
+        # The label loss is that of the path denoised in one step. Under much noise this path is a
+        # mean over many, whose label says little: weigh it by the squared signal, or not at all.
         signal = model.signal[timestep]
         weight = signal**2 * (keep.repeat_interleave(per) & (signal > 0.2))
         weight = weight / weight.sum().clamp_min(1e-6) * self.team.size
         scenes, chosen, timestep, noise, keep, signal, weight = map(
             self.team.share, (scenes, chosen, timestep, noise, keep, signal, weight)
         )
-        each = scenes.repeat_interleave(per)
-        waypoints = self.waypoints[each, chosen.flatten()]
-        label = self.labels[each, chosen.flatten()]
+        index, chosen = scenes.repeat_interleave(per), chosen.flatten()
+        waypoints, label = self.waypoints[index, chosen], self.labels[index, chosen]
 
         clean = model.to_latent(waypoints)
         signal = signal[:, None, None]
         noisy, velocity = noised(clean, noise, signal)
         kept = keep.repeat_interleave(per)
-        conditions = self.conditions.without_image().map(lambda x: x[each])
+        conditions = self.conditions.without_image().map(lambda x: x[index])
         with self.team.autocast():
             scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), keep)
             context = model.encode(scene.repeat_interleave(per, 0), label, kept)
@@ -93,12 +92,12 @@ class PathBatches:
         clear = torch.nonzero(weight)[:, 0]
         weight = weight[clear]
         estimate = (signal.sqrt() * noisy - (1 - signal).sqrt() * predicted)[clear]
-        seen = conditions.map(lambda x: x[clear])
+        conditions = conditions.map(lambda x: x[clear])
         points = self.scorer.curve(model.from_latent(estimate))
-        achieved = self.scorer.label(seen, each[clear], points)
+        achieved = self.scorer.label(conditions, index[clear], points)
         error = F.smooth_l1_loss(achieved, label[clear], beta=0.1, reduction="none")
         label_loss = (weight * error).sum()
-        outside = F.relu(-seen.wall_distance(points)).mean(dim=1)
+        outside = F.relu(-conditions.wall_distance(points)).mean(dim=1)
         wall_loss = (weight * outside).sum()
         total = velocity_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
         parts = {"velocity": velocity_loss, "label": label_loss, "wall": wall_loss}
@@ -111,14 +110,14 @@ class PathBatches:
 
 
 class FrameScorer:
-    """`legibility_score` and its label in PyTorch, differentiable, in the start–target frame."""
+    """`L_p` (paper, eq. 4) and its label in PyTorch, differentiable, in the start–target frame."""
 
     def __init__(self, data: Dataset, conditions: Conditions) -> None:
         def tensor(array: np.ndarray) -> Tensor:
             return torch.tensor(array, dtype=torch.float32, device=conditions.vector.device)
 
-        # In the logarithm, since a scene may be so clear that its whole legible side lies within
-        # a millionth of its scores.
+        # Labels are read in log(−L_p): the legible side of a clear scene may lie within a millionth
+        # of the range of its scores.
         knots = -np.log(np.maximum(-data.score_at_label, _LEAST_COST))
         self.knots = tensor(np.maximum.accumulate(knots, axis=1))
         self.values = tensor(LABEL_KNOTS)
@@ -127,7 +126,7 @@ class FrameScorer:
         self.ends = tensor(np.eye(2, data.config.dim, k=-1))
 
     def path(self, waypoints: Tensor) -> Tensor:
-        """Waypoints `(B, K, D)` in the start–target frame with start and goal, `(B, K + 2, D)`."""
+        """`(B, K + 2, D)`: waypoints `(B, K, D)` in the start–target frame with start and goal."""
         ends = self.ends.expand(len(waypoints), -1, -1)
         return torch.cat([ends[:, :1], waypoints, ends[:, 1:]], dim=1)
 
@@ -136,7 +135,10 @@ class FrameScorer:
         return self.spline @ self.path(waypoints)
 
     def score(self, conditions: Conditions, points: Tensor) -> Tensor:
-        """`(B,)` of curves `(B, T, D)` in the start–target frames of `B` scenes."""
+        """`L_p` (paper, eq. 4), `(B,)`, of curves `(B, T, D)` in start–target frames.
+
+        As `legibility_score`: t is progress by arc length, and the weights exp(−α t) sum to 1.
+        """
         potential = conditions.potential(points)
         steps = (points.diff(dim=1).square().sum(-1) + 1e-12).sqrt()
         progress = F.pad(steps.cumsum(1), (1, 0)) / steps.sum(1, keepdim=True)
@@ -147,7 +149,7 @@ class FrameScorer:
         return -total / ((decay[:, 1:] + decay[:, :-1]) * width).sum(1)
 
     def label(self, conditions: Conditions, scenes: Tensor, points: Tensor) -> Tensor:
-        """The achieved label `(B,)`, extrapolated beyond ±1 so that its gradient never ends.
+        """The achieved label `(B,)`, extrapolated beyond ±1 so that its gradient never vanishes.
 
         Args:
             conditions: of the `B` scenes.
@@ -167,68 +169,46 @@ class FrameScorer:
 def train_path(
     data: Dataset,
     validation: Dataset,
-    folder: str | Path,
+    run: Run,
     config: PathTrainingConfig | None = None,
-    *,
-    device: str | None = None,
-    precision: str | None = None,
-    progress: Progress = lambda step, steps, figures: None,
     **settings: Any,
-) -> PathDiffuser:
-    """Train stage 1 on `data`, validated on the scenes of `validation`.
+) -> Trained[PathDiffuser]:
+    """Train stage 1 on `data` and validate it on the scenes of `validation`.
 
     Args:
         data: labelled trajectories.
-        validation: of another seed stream; its scenes measure the dial while training.
-        folder: of the checkpoint and the log; an interrupted run goes on from there.
+        validation: of another seed stream; its scenes measure the dial during training.
+        run: where to train.
         config: how to train.
-        device: where to; a GPU where there is one.
-        precision: no (float32), bf16 or fp16, see `Team.join`.
-        progress: see `train`.
-        **settings: of `PathDiffuserConfig`, but those that the data fixes.
+        **settings: of `PathDiffuserConfig`, without those that the data fix.
 
-    Returns:
-        The trained model, on the CPU.
+    Raises:
+        InvalidInputError: the validation data have labels of another observer.
+        CheckpointError: see `train`.
     """
     config = config or PathTrainingConfig()
     settings |= {name: getattr(data.config, name) for name in FIXED_BY_DATA}
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        model = PathDiffuser(PathDiffuserConfig(**settings))
+    model = new_model(PathDiffuser, PathDiffuserConfig(**settings), config.seed)
     check_data(model.config, data, validation)
-    team = Team.join(device, precision)
-    batches = PathBatches(data, model, config, team)
-    model = model.to(team.device)
-    model.signal.copy_(noise_schedule(model.config.diffusion_steps))
+    model.to(run.team.device)
+    batches = PathBatches(data, model, config, run.team)
     model.spread.copy_(batches.spread(model))
-    checks = PathBatches(validation, model, config, team)
-    identity = {"model": model.config.to_dict(), "data": data.digest}
-    trained = train(
-        model,
-        batches.loss,
-        lambda m: validate_dial(m, checks),
-        config,
-        folder,
-        identity=identity,
-        team=team,
-        progress=progress,
-    )
-    return trained.to("cpu")
+    checks = PathBatches(validation, model, config, run.team)
+    source = Source(data.config.to_dict(), data.digest)
+    return train(model, batches.loss, lambda m: validate_dial(m, checks), config, run, source)
 
 
 def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -> None:
-    """Whether both are labelled as a model of `config` means ℓ, and neither is for evaluations.
+    """Check that both datasets have the dimension and the observer of a model of `config`.
 
     Raises:
-        InvalidInputError: they are not.
+        InvalidInputError: they do not.
     """
-    for name in FIXED_BY_DATA:
-        value = getattr(config, name)
-        for what, found in (("data", data), ("validation data", validation)):
-            if getattr(found.config, name) != value:
-                raise InvalidInputError(
-                    f"the {what} have {name} {getattr(found.config, name)}, the model {value}"
-                )
+    for name, dataset in (("data", data), ("validation data", validation)):
+        settings = {"dim": dataset.config.dim, **vars(dataset.config.observer)}
+        for key, value in {"dim": config.dim, **vars(config.observer)}.items():
+            if settings[key] != value:
+                raise InvalidInputError(f"the {name} have {key} {settings[key]}, the model {value}")
 
 
 @torch.no_grad()
@@ -250,14 +230,13 @@ def validate_dial(
         label = checks.scorer.label(checks.conditions, scenes, points)
         achieved[:, column] = label.clamp(-1, 1)
         inside += (checks.conditions.wall_distance(points) >= -1e-6).all(dim=1).float().mean()
-    found = achieved.cpu().numpy()
-    wanted = asked.cpu().numpy()
-    ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in found])
+    labels, wanted = achieved.cpu().numpy(), asked.cpu().numpy()
+    ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in labels])
     return {
         "validation_spearman": float(ranks.mean()),
         "validation_spearman_worst": float(ranks.min()),
-        "validation_error": float(np.abs(found - wanted).mean()),
+        "validation_error": float(np.abs(labels - wanted).mean()),
         "validation_inside": float(inside / len(asked)),
-        "validation_at_1": float(found[:, -samples:].mean()),
-        "validation_at_-1": float(found[:, :samples].mean()),
+        "validation_at_1": float(labels[:, -samples:].mean()),
+        "validation_at_-1": float(labels[:, :samples].mean()),
     }

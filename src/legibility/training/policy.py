@@ -1,9 +1,10 @@
-"""How policies are trained: batches, loss, and stage 2 in closed loop on validation scenes."""
+"""Training of policies: batches, loss, and stage 2 in closed loop on validation scenes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path as FilePath
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,39 +17,43 @@ from ..checks import Array
 from ..curves import arc_length
 from ..data.dataset import Dataset
 from ..data.demonstrations import Demonstrations
-from ..drivers import Policy
+from ..drivers import Driver, Policy
 from ..envs import vector_type
 from ..envs.fleet import Fleet
 from ..errors import InvalidInputError
-from ..models.configuration import PathPolicyConfig
-from ..models.diffusion import noise_schedule, noised
+from ..models.configuration import ActionConfig, PathPolicyConfig
+from ..models.diffusion import noised
 from ..models.goal_policy import GoalPolicy
 from ..models.path_policy import Observation, PathPolicy
+from ..models.provenance import Source
 from ..motion.path import Path
 from ..motion.tracking import PathTracker
-from ..rollout import follow
+from ..rollout import Rollout, follow
+from ..scene import Scene
 from .configuration import PolicyTrainingConfig
-from .loop import Progress, train
+from .loop import Run, Trained, new_model, train
 from .team import Team
 
-__all__ = ["PolicyBatches", "train_policy", "validate_policy"]
+__all__ = ["PolicyBatches", "Samples", "train_policy", "validate_policy"]
+
+Samples = tuple[Array, Array]
+"""Features `(M, F)` and chunks of actions `(M, chunk, D)` of M steps of demonstrations."""
 
 
 class PolicyBatches:
     """Every step of the demonstrations as tensors, and the loss of a policy over random batches.
 
     Args:
-        guided: features `(M, F)` and chunks of actions `(M, chunk, D)` of each of all M steps, with
-            what guides the policy.
-        unguided: the same without it.
+        guided: all steps with the path or goal that guides the policy.
+        unguided: the same steps without it.
         config: how to train.
         team: of this process.
     """
 
     def __init__(
         self,
-        guided: Sequence[Array],
-        unguided: Sequence[Array],
+        guided: Samples,
+        unguided: Samples,
         config: PolicyTrainingConfig,
         team: Team,
     ) -> None:
@@ -87,37 +92,46 @@ class PolicyBatches:
         return self.guided[1].square().mean().sqrt()
 
 
-def along_paths(data: Demonstrations, config: PathPolicyConfig) -> list[list[Array]]:
-    """Features `(M, F)` and chunks of actions `(M, chunk, D)` of each of all M steps.
-
-    Once as the policy sees them with the path, once without it.
-    """
+def along_paths(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
+    """Every step of the demonstrations as the policy sees it with the path, and without it."""
     tracker = PathTracker(data.paths, data.limit, data.workspace)
     goals = data.paths[:, -1]
-    found: list[list[list[Array]]] = [[[], []], [[], []]]
-    for rows, now, before, chunk in moments(data, config.chunk, tracker):
-        part = tracker.of(rows)
-        for kind, along in zip(found, (part, None), strict=True):
-            seen = Observation.of(now, before, goals[rows], data.limit, along)
-            kind[0].append(seen.features)
-            kind[1].append(chunk @ seen.rotation.swapaxes(1, 2))
-    return [[np.concatenate(parts) for parts in kind] for kind in found]
+    samples: tuple[list[Samples], list[Samples]] = ([], [])
+    for rows, now, before, actions in moments(data, chunk, tracker):
+        path = tracker.of(rows)
+        for steps, along in zip(samples, (path, None), strict=True):
+            view = Observation.of(now, before, goals[rows], data.limit, along)
+            steps.append((view.features, actions @ view.rotation.swapaxes(1, 2)))
+    return joined(samples[0]), joined(samples[1])
+
+
+def joined(steps: list[Samples]) -> Samples:
+    """The samples of several times as one."""
+    features, actions = zip(*steps, strict=True)
+    return np.concatenate(features), np.concatenate(actions)
 
 
 def moments(
     data: Demonstrations, size: int, tracker: PathTracker | None = None
 ) -> Iterator[tuple[NDArray[np.intp], Array, Array, Array]]:
-    """Of each time in turn which demonstrations go on, where they are, were, and do next.
+    """Iterate over the times of all demonstrations at once.
 
-    Indices `(N,)`, positions `(N, D)` now and one step before [m], chunks of the next `size`
-    actions `(N, size, D)` in limits; after the last they are 0. A `tracker` of all is kept up.
+    Args:
+        data: the demonstrations.
+        size: actions of a chunk.
+        tracker: of all paths, which is moved along.
+
+    Yields:
+        At each time: indices `(N,)` of the demonstrations that have not ended; their positions now
+        and one step before, `(N, D)` [m]; their next `size` actions `(N, size, D)` in limits, 0
+        after the last one.
     """
     lengths = np.array([len(a) for a in data.actions])
     longest = lengths.max()
     states = np.stack([_extended(s, longest + 1) for s in data.states])
     actions = np.zeros((len(data), longest + size, data.paths.shape[-1]))
-    for row, own in zip(actions, data.actions, strict=True):
-        row[: len(own)] = own
+    for row, demonstration in zip(actions, data.actions, strict=True):
+        row[: len(demonstration)] = demonstration
     for t in range(longest):
         now, before = states[:, t], states[:, max(t - 1, 0)]
         if t and tracker is not None:
@@ -134,79 +148,75 @@ def _extended(states: Array, size: int) -> Array:
 def train_policy(
     data: Demonstrations,
     validation: Dataset,
-    folder: str | FilePath,
+    run: Run,
     config: PolicyTrainingConfig | None = None,
-    *,
-    device: str | None = None,
-    precision: str | None = None,
-    progress: Progress = lambda step, steps, figures: None,
     **settings: Any,
-) -> PathPolicy:
-    """Train stage 2 on `data`, validated by rollouts along paths of `validation`.
+) -> Trained[PathPolicy]:
+    """Train stage 2 on `data` and validate it by rollouts along paths of `validation`.
 
     Args:
         data: demonstrations.
         validation: a dataset of another seed stream.
-        folder: of the checkpoint and the log; an interrupted run goes on from there.
+        run: where to train.
         config: how to train.
-        device: where to; a GPU where there is one.
-        precision: no (float32), bf16 or fp16, see `Team.join`.
-        progress: see `train`.
-        **settings: of `PathPolicyConfig`, but those that the data fixes.
+        **settings: of `PathPolicyConfig`, without `dim` and `limit`, which the data fix.
 
-    Returns:
-        The trained model, on the CPU.
+    Raises:
+        InvalidInputError: the validation data are of another dimension.
+        CheckpointError: see `train`.
     """
-    config = config or PolicyTrainingConfig()
-    settings |= {"dim": data.paths.shape[-1], "limit": data.limit}
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        model = PathPolicy(PathPolicyConfig(**settings))
-    parts = along_paths(data, model.config)
-    team = Team.join(device, precision)
-    return fit(model, parts, data, validation, folder, config, validate_policy, team, progress)
+    return fit(
+        PathPolicy, PathPolicyConfig, along_paths, validate_policy,
+        data, validation, run, config, settings,
+    )  # fmt: skip
 
 
 P = TypeVar("P", PathPolicy, GoalPolicy)
 
 
 def fit(
-    model: P,
-    parts: list[list[Array]],
+    network: Callable[[Any], P],
+    shape: type[ActionConfig],
+    samples: Callable[[Demonstrations, int], tuple[Samples, Samples]],
+    validate: Callable[[P, Dataset], dict[str, float]],
     data: Demonstrations,
     validation: Dataset,
-    folder: str | FilePath,
-    config: PolicyTrainingConfig,
-    validate: Callable[[P, Dataset], dict[str, float]],
-    team: Team,
-    progress: Progress,
-) -> P:
-    """Train a policy on `parts`, guided and unguided, of `data`; see `train_policy`."""
-    if validation.config.dim != model.config.dim:
+    run: Run,
+    config: PolicyTrainingConfig | None,
+    settings: dict[str, Any],
+) -> Trained[P]:
+    """Train a policy of any kind on `samples` of `data`; see `train_policy`."""
+    config = config or PolicyTrainingConfig()
+    dim = data.paths.shape[-1]
+    if validation.config.dim != dim:
         raise InvalidInputError(
-            f"the validation data are {validation.config.dim}-D, the data {model.config.dim}-D"
+            f"the validation data are {validation.config.dim}-D, the data {dim}-D"
         )
-    batches = PolicyBatches(parts[0], parts[1], config, team)
-    model = model.to(team.device)
-    model.signal.copy_(noise_schedule(model.config.diffusion_steps))
+    model = new_model(network, shape(**settings, dim=dim, limit=data.limit), config.seed)
+    model.to(run.team.device)
+    batches = PolicyBatches(*samples(data, model.config.chunk), config, run.team)
     model.scale.copy_(batches.scale())
-    identity = {"model": model.config.to_dict(), "data": data.digest}
-    trained = train(
-        model,
-        batches.loss,
-        lambda m: validate(m, validation),
-        config,
-        folder,
-        identity=identity,
-        team=team,
-        progress=progress,
-    )
-    return trained.to("cpu")
+    shown = {**asdict(data.config), "number": len(data)}
+    source = Source(data.dataset.to_dict(), data.digest, shown)
+    return train(model, batches.loss, lambda m: validate(m, validation), config, run, source)
+
+
+def rollouts_of(
+    model: P, policy: Callable[[P], Driver], paths: list[Path], scenes: list[Scene]
+) -> list[Rollout]:
+    """One closed-loop motion in each of `scenes`, with a driver of the model on the CPU."""
+    device = next(model.parameters()).device
+    env = vector_type(None, scenes[0].dim)(len(scenes))
+    try:
+        env.reset(seed=0, options={"scene": scenes})
+        return follow(Fleet(env, 0), paths, policy(model.to("cpu")))
+    finally:
+        env.close()
+        model.to(device)
 
 
 def validate_policy(model: PathPolicy, validation: Dataset, paths: int = 2) -> dict[str, float]:
     """Rollouts along archive paths: success, and mean distance from the path over its length."""
-    where = next(model.parameters()).device
     config = validation.config
     chosen = np.linspace(0, config.per_scene - 1, paths * len(validation.scenes)).round()
     chosen = np.random.default_rng(0).permutation(chosen.astype(np.intp))
@@ -218,10 +228,7 @@ def validate_policy(model: PathPolicy, validation: Dataset, paths: int = 2) -> d
             np.concatenate([scene.start[None], inner, scene.goals[:1]]),
             scene, 0, validation.labels[number // paths, index], config.observer,
         ))  # fmt: skip
-    env = vector_type(None, config.dim)(len(scenes))
-    env.reset(seed=0, options={"scene": scenes})
-    rollouts = follow(Fleet(env, 0), plans, Policy(model.to("cpu"), seed=0))
-    model.to(where)
+    rollouts = rollouts_of(model, partial(Policy, seed=0), plans, scenes)
     lengths = [arc_length(plan.trajectory()) for plan in plans]
     off = [r.deviation.mean() / n for r, n in zip(rollouts, lengths, strict=True)]
     return {

@@ -1,4 +1,4 @@
-"""One process that trains alone, or one of several that a launcher started."""
+"""The processes of a training: one alone, or several that a launcher started."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -20,19 +19,19 @@ __all__ = ["Team", "choose_device"]
 _DTYPES = {"no": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
 _LAUNCHED = ("ACCELERATE_MIXED_PRECISION", "LOCAL_RANK")
-"""Variables of which `accelerate launch` sets the first always, `torchrun` the second."""
+"""Environment variables set by `accelerate launch` and by `torchrun`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Team:
-    """This process among those of a run, each of which trains on its share of every batch.
+    """This process among those of a training, each of which computes its share of every batch.
 
     Attributes:
         device: of this process.
-        rank: its number; 0 is the main one, which alone logs, validates and writes.
-        size: how many there are.
+        rank: its number; 0 is the main process, which alone logs, validates and writes.
+        size: number of processes.
         precision: of the network's products: no (float32), bf16 or fp16.
-        accelerator: accelerate's, if a launcher started the run.
+        accelerator: that of the package accelerate, if a launcher started the processes.
     """
 
     device: torch.device
@@ -46,8 +45,8 @@ class Team:
         """The team that `accelerate launch` or `torchrun` started, or this process alone.
 
         Args:
-            device: where to train; if not given, what accelerate chose, or a GPU if there is one.
-            precision: no, bf16 or fp16; if not given, what the launcher was told, or no.
+            device: cpu or cuda; if not given, accelerate's choice, or a GPU if there is one.
+            precision: no, bf16 or fp16; if not given, the launcher's, or no.
 
         Raises:
             InvalidInputError: the device or the precision cannot be used here.
@@ -60,8 +59,8 @@ class Team:
             return cls(choose_device(device), precision=precision or "no")
         from accelerate import Accelerator
 
-        # Imported while there is a group, it would bind that group in defaults of its functions,
-        # and `leave` could not end it.
+        # Imported later, this module would keep the group alive in defaults of its functions, and
+        # `leave` could not end it.
         import_module("torch.distributed.nn.functional")
 
         try:
@@ -71,7 +70,9 @@ class Team:
         where = joined.device if device is None else choose_device(device)
         precision = str(joined.mixed_precision)
         if precision not in _DTYPES:
-            raise InvalidInputError(f"nothing here trains in {precision}")
+            raise InvalidInputError(
+                f"precision must be one of {', '.join(_DTYPES)}, accelerate has {precision!r}"
+            )
         return cls(where, joined.process_index, joined.num_processes, precision, joined)
 
     @property
@@ -80,7 +81,7 @@ class Team:
         return self.rank == 0
 
     def shared(self, name: str, number: int) -> int:
-        """What is left for each process of `number` things named `name` of a batch."""
+        """The share of each process in a batch of `number` items, which the setting `name` is."""
         if number % self.size:
             raise InvalidInputError(
                 f"{name} must be a multiple of the {self.size} processes, got {number}"
@@ -98,29 +99,13 @@ class Team:
         return torch.autocast(self.device.type, dtype=_DTYPES[self.precision])
 
     @contextmanager
-    def products(self) -> Iterator[None]:
-        """A context in which products of float32 on a CPU are made by oneDNN.
-
-        PyTorch leaves them to MKL, which on some processors is the slower one. What makes it ask
-        oneDNN permits bfloat16 besides, and where that would be used MKL is kept. Which is quicker
-        here is not asked, so that a run rounds as it did before it was interrupted.
-        """
-        before = torch.get_float32_matmul_precision()
-        if self.device.type == "cpu" and _exact("medium"):
-            torch.set_float32_matmul_precision("medium")
-        try:
-            yield
-        finally:
-            torch.set_float32_matmul_precision(before)
-
-    @contextmanager
     def main_first(self) -> Iterator[None]:
-        """A context that the others enter when the main process has left it."""
+        """A context that the other processes enter after the main process has left it."""
         with self.accelerator.main_process_first() if self.accelerator else nullcontext():
             yield
 
     def mean(self, values: Sequence[Tensor]) -> list[Tensor]:
-        """The means of `values` over all processes, by one message."""
+        """The means of `values` over all processes, in one message."""
         if self.size == 1:
             return list(values)
         flat = self.accelerator.reduce(torch.cat([v.flatten() for v in values]), "mean")
@@ -128,28 +113,16 @@ class Team:
         return [part.view_as(v) for part, v in zip(parts, values, strict=True)]
 
     def leave(self) -> None:
-        """End the group of processes, once nothing more is sent; without, one may crash at its end.
+        """End the group of processes when nothing more is sent.
 
-        gloo's threads wait for Python's lock to give back what they sent.
+        Otherwise a process may crash at its exit, as threads of gloo wait for Python's lock.
         """
         if self.accelerator is not None:
             self.accelerator.end_training()
 
     def scaler(self) -> torch.amp.GradScaler:
-        """What keeps small gradients from vanishing in fp16; in others it does nothing."""
+        """A scaler that keeps small gradients from vanishing in fp16 and does nothing otherwise."""
         return torch.amp.GradScaler(self.device.type, enabled=self.precision == "fp16")
-
-
-@cache
-def _exact(precision: str) -> bool:
-    """Whether this CPU's products stay float32 if a float32 matmul precision is permitted."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision(precision)
-    try:
-        fine = torch.full((256, 256), 1 + 2.0**-20)
-        return torch.equal(fine @ torch.eye(256), fine)
-    finally:
-        torch.set_float32_matmul_precision(before)
 
 
 def choose_device(name: str | None) -> torch.device:
