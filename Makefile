@@ -77,7 +77,7 @@ weights-%: $(STAMP)
 		--json results/tuning-legibility-diffuser-$(ROBOT).json
 
 results: $(STAMP) ## measure what is missing or out of date of experiments.toml (NAMES="…": only these)
-	$(BIN)/python -m legibility.report.experiments --workers $(WORKERS) $(NAMES)
+	$(BIN)/python tools/experiments.py --workers $(WORKERS) $(NAMES)
 	$(MAKE) report
 
 report: $(STAMP) ## render docs/results.md and the model cards

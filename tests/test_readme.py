@@ -8,13 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from experiments import read_experiments
 
 from legibility.cli import main
 from legibility.files import file_hash
 from legibility.models.pretrained import pretrained_folder, pretrained_names
 from legibility.modulator import Modulator
 from legibility.report.card import render_card
-from legibility.report.experiments import read_experiments
 from legibility.report.results import headline_table, read_json, read_results, render_page
 
 ROOT = Path(__file__).parent.parent

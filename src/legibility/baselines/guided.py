@@ -13,8 +13,6 @@ from ..models.diffusion import standard_normal
 from ..models.goal_policy import GoalPolicy, goal_features, guidance_weights
 from ..scene import Scene
 
-__all__ = ["GuidedPolicy"]
-
 
 class GuidedPolicy:
     """A goal-conditioned policy, guided away from its own actions for the other goals.

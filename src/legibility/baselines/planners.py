@@ -15,8 +15,6 @@ from ..motion.bezier import bezier_trajectories, straight_controls
 from ..motion.path import Path, straight_waypoints
 from ..scene import Scene
 
-__all__ = ["archive_path", "candidates_within", "search", "straight_path"]
-
 _ENDS = (64, 65_536)
 _REPEATS = 5
 

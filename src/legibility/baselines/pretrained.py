@@ -6,8 +6,6 @@ from ..errors import CheckpointError, InvalidInputError
 from ..models.goal_policy import GoalPolicy
 from ..models.pretrained import load_stages, pretrained_folder
 
-__all__ = ["baseline_names", "load_baselines"]
-
 
 def baseline_names(dim: int) -> dict[str, str]:
     """The shipped weights of each baseline in 2-D or 3-D."""

@@ -11,8 +11,6 @@ from ..intent.observer import Observer
 from ..motion.archive import DEFAULT_CELLS
 from .scenes import SceneStream
 
-__all__ = ["DatasetConfig", "DemonstrationsConfig"]
-
 VALIDATION_SCENES = 128
 _NOISE, _PUSH = 0.06, 2.0
 

@@ -27,8 +27,6 @@ from ..seeds import stream_seed
 from .configuration import DatasetConfig
 from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
 
-__all__ = ["Dataset", "generate", "select"]
-
 LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, from which a label is read off a score."""
 

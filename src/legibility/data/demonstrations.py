@@ -26,8 +26,6 @@ from .configuration import DatasetConfig, DemonstrationsConfig
 from .dataset import Dataset, shard_names
 from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
 
-__all__ = ["DEMONSTRATIONS", "Demonstrations", "demonstrate"]
-
 DEMONSTRATIONS = "demonstrations.json"
 """File name of the manifest, beside that of the dataset."""
 

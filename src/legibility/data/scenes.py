@@ -13,8 +13,6 @@ from ..motion.archive import Archive, build_archive
 from ..scene import Scene
 from ..seeds import STREAMS, stream_seed
 
-__all__ = ["SceneStream"]
-
 
 @dataclass(frozen=True)
 class SceneStream:

@@ -21,8 +21,6 @@ from ..errors import DatasetError
 from ..files import file_hash, read_text, write_bytes, write_json
 from ..parallel import pool
 
-__all__ = ["SHARD", "ShardProgress", "flat", "make_shards", "read_shards", "shard_bytes"]
-
 SHARD = 64
 """Scenes in a shard."""
 

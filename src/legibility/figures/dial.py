@@ -12,8 +12,6 @@ from ..envs.colors import GOALS, INK
 from ..errors import InvalidInputError
 from .style import COLUMN, add_lines, compare_labels, figure_file
 
-__all__ = ["dial_figure"]
-
 
 def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
     """Draw asked against achieved ℓ over all scenes, and the error by level.

@@ -38,8 +38,6 @@ from .views import ArmView, DrawnView, add_artist, diamond
 
 Picture = NDArray[np.uint8]
 
-__all__ = ["FILMS", "MOST", "check_film", "check_number", "execution_figure", "execution_film"]
-
 FILMS = (".gif", ".mp4")
 """Formats of a film."""
 

@@ -32,8 +32,6 @@ from .style import (
 if TYPE_CHECKING:
     from ..motion.path import Path
 
-__all__ = ["archive_figure", "plan_figure"]
-
 _COLORS = LinearSegmentedColormap.from_list(
     "ambiguous_straight_legible", ["#114b8c", "#5b93c7", "#b8b8b8", "#de6a55", "#96101f"]
 )

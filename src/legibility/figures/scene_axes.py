@@ -16,8 +16,6 @@ from ..intent.field import InformationPotentialField
 from ..scene import Scene
 from .style import DOTTED, HALO
 
-__all__ = ["flat", "goal_colors", "name_ends", "scene_axes", "scene_cells"]
-
 _TARGET, *_OTHERS = GOALS
 _POTENTIALS = (0.1, 0.7, 2.3, 7, 21, np.inf)
 """φ [nat] at which the background's shade changes: P(g*|x) is 0.9, 0.5, 0.1, ..."""

@@ -14,8 +14,6 @@ from ..evaluation.statistics import bootstrap_interval
 from .scene_axes import name_ends, scene_axes
 from .style import LABELS, PAGE, REDS, add_lines, figure_file, label_ticks
 
-__all__ = ["spectrum_figure"]
-
 _HEIGHT, _SHARE = 2.6, 0.58
 _DPI = 300
 _TUBE = 0.0045

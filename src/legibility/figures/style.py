@@ -19,11 +19,6 @@ from ..envs.colors import INK
 from ..errors import OutputError
 from ..files import atomic_path
 
-__all__ = [
-    "COLUMN", "DASHED", "DOTTED", "HALO", "LABELS", "PAGE", "REDS", "STYLE", "add_lines",
-    "compare_labels", "figure_file", "label_ticks", "shared_style",
-]  # fmt: skip
-
 COLUMN, PAGE = 3.5, 7.16
 """Widths of one column and of both, as IEEE prints them [in]."""
 

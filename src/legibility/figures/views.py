@@ -17,8 +17,6 @@ from ..rollout import Rollout
 from .scene_axes import flat, scene_axes
 from .style import DOTTED
 
-__all__ = ["ArmView", "DrawnView", "add_artist", "diamond"]
-
 _TUBE = 0.0035
 
 

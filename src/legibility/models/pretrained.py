@@ -17,8 +17,6 @@ from .path_diffuser import PathDiffuser
 from .path_policy import PathPolicy
 from .provenance import TrainingRecord
 
-__all__ = ["load_stages", "pretrained_folder", "pretrained_names", "save_stage", "training_records"]
-
 _FORMAT = 3
 
 _STAGES: dict[str, Any] = {

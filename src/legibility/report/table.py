@@ -11,8 +11,6 @@ import textwrap
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-__all__ = ["Bold", "Column", "Part", "Table", "markdown", "number", "significant"]
-
 
 class Bold(str):
     """A cell in bold."""

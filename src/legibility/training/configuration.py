@@ -7,14 +7,6 @@ from dataclasses import dataclass
 from ..checks import bounded, count, positive, random_seed
 from ..errors import InvalidInputError
 
-__all__ = [
-    "FIXED_BY_DATA",
-    "DistillationConfig",
-    "PathTrainingConfig",
-    "PolicyTrainingConfig",
-    "TrainingConfig",
-]
-
 FIXED_BY_DATA = ("dim", "observer")
 """Settings of stage 1 that follow from its data."""
 

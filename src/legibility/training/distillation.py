@@ -26,8 +26,6 @@ from .loop import Run, Trained, train
 from .path import PathBatches, check_data, validate_dial
 from .team import Team
 
-__all__ = ["DistillationBatches", "distill_path"]
-
 _AT_ONCE = 16  # scenes for which the teacher draws at a time
 _SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
 

@@ -20,8 +20,6 @@ from .configuration import PolicyTrainingConfig
 from .loop import Run, Trained
 from .policy import Samples, fit, joined, moments, rollouts_of
 
-__all__ = ["GUIDANCE", "train_goal", "tune_guidance", "validate_goal"]
-
 GUIDANCE = {
     "guidance": (2.5, 5.0, 7.5, 10.0, 15.0),
     "guidance_decay": (0.4, 0.6, 0.9, 0.95, 1.0),

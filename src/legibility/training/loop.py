@@ -26,8 +26,6 @@ from .configuration import TrainingConfig
 from .state import State
 from .team import Team
 
-__all__ = ["CHECKPOINT", "LOG", "Progress", "Run", "Trained", "new_model", "train"]
-
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
 

@@ -22,14 +22,6 @@ from .configuration import FIXED_BY_DATA, PathTrainingConfig
 from .loop import Run, Trained, new_model, train
 from .team import Team
 
-__all__ = [
-    "FrameScorer",
-    "PathBatches",
-    "check_data",
-    "train_path",
-    "validate_dial",
-]
-
 _LEAST_COST = 1e-30
 
 

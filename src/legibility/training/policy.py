@@ -34,8 +34,6 @@ from .configuration import PolicyTrainingConfig
 from .loop import Run, Trained, new_model, train
 from .team import Team
 
-__all__ = ["PolicyBatches", "Samples", "train_policy", "validate_policy"]
-
 Samples = tuple[Array, Array]
 """Features `(M, F)` and chunks of actions `(M, chunk, D)` of M steps of demonstrations."""
 

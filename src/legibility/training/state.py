@@ -18,8 +18,6 @@ from ..files import write_bytes
 from ..models.checkpoint import load_state, load_tensors, save_tensors
 from .configuration import TrainingConfig
 
-__all__ = ["Log", "State"]
-
 _FORMAT = 1
 
 M = TypeVar("M", bound=nn.Module)

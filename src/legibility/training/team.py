@@ -14,8 +14,6 @@ from torch import Tensor
 
 from ..errors import InvalidInputError
 
-__all__ = ["Team", "choose_device"]
-
 _DTYPES = {"no": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
 _LAUNCHED = ("ACCELERATE_MIXED_PRECISION", "LOCAL_RANK")

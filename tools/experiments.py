@@ -1,6 +1,6 @@
 """Run the measurements of `experiments.toml` that are missing or out of date.
 
-    python -m legibility.report.experiments [--workers N] [NAME ...]
+    python tools/experiments.py [--workers N] [NAME ...]
 
 runs in the current folder, where `experiments.toml` and `results/` lie.
 """
@@ -19,10 +19,11 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..errors import InvalidInputError
-from ..files import file_hash, read_text
+import legibility
+from legibility.errors import InvalidInputError
+from legibility.files import file_hash, read_text
 
-_WEIGHTS = Path(__file__).parent.parent / "weights"
+_WEIGHTS = Path(legibility.__file__).parent / "weights"
 _MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
 """A module of each extra."""
 _PARALLEL = ("dial", "execution", "table1", "unseen", "ablations")

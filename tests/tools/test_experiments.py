@@ -4,14 +4,14 @@ import functools
 import json
 from pathlib import Path
 
+import experiments
 import pytest
+from experiments import Experiment, main, read_experiments
 
 from legibility import cli
 from legibility.errors import InvalidInputError
 from legibility.files import file_hash
 from legibility.models.pretrained import pretrained_folder
-from legibility.report import experiments
-from legibility.report.experiments import Experiment, main, read_experiments
 
 ROOT = Path(__file__).parent.parent.parent
 ENTRY = '[{}]\ncommand = "{}"\nweights = ["block-reach-2d"]\n'
