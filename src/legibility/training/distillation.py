@@ -8,7 +8,6 @@ achieved label is a second loss, which makes the dial more exact. On its own tha
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -52,6 +51,7 @@ class DistillationBatches(PathBatches):
         """Let the teacher draw the paths that the student learns, from noise and for labels."""
         num, pairs, device = len(self.labels), self.config.pairs, self.team.device
         generator = torch.Generator().manual_seed(self.config.seed)
+        report = self.drawn if self.team.main else lambda done, total: None
         shape = (num, pairs, *self.waypoints.shape[2:])
         spread = (torch.arange(pairs) + torch.rand(num, pairs, generator=generator)) / pairs
         levels = ((2 * spread - 1) / (1 - self.config.ends)).clamp(-1, 1)
@@ -62,7 +62,7 @@ class DistillationBatches(PathBatches):
         self.teacher.to(device)
         try:
             for first in range(0, num, _AT_ONCE):
-                self._report(first)
+                report(first, num)
                 rows = slice(first, first + _AT_ONCE)
                 scenes = torch.arange(num)[rows].repeat_interleave(pairs).to(device)
                 self.waypoints[rows] = self.teacher.sample(
@@ -72,12 +72,8 @@ class DistillationBatches(PathBatches):
                 ).unflatten(0, (-1, pairs))
         finally:
             self.teacher.to(before)
-        self._report(num)
+        report(num, num)
         self.noise = noise
-
-    def _report(self, scenes: int) -> None:
-        if self.team.main:
-            self.drawn(scenes, len(self.labels))
 
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
@@ -125,9 +121,9 @@ def distill_path(
     data: Dataset,
     validation: Dataset,
     run: Run,
-    config: DistillationConfig | None = None,
+    config: DistillationConfig,
+    record: TeacherRecord,
     *,
-    record: TeacherRecord | None = None,
     drawn: Callable[[int, int], None] = lambda done, total: None,
 ) -> Trained[PathDiffuser]:
     """Train a student that draws the paths of `teacher` in fewer steps and without guidance.
@@ -138,7 +134,7 @@ def distill_path(
         validation: of another seed stream; its scenes measure the dial during training.
         run: where to train; a resumed run lets the teacher draw again.
         config: how to train.
-        record: of the teacher; made from its weights if not given.
+        record: of the teacher.
         drawn: called with the number of scenes for which the teacher has drawn, and that of all.
 
     Returns:
@@ -149,7 +145,6 @@ def distill_path(
             more sampling steps than diffusion has.
         CheckpointError: see `train`.
     """
-    config = config or DistillationConfig()
     if config.sampling_steps > teacher.config.diffusion_steps:
         raise InvalidInputError(
             f"sampling_steps must be at most {teacher.config.diffusion_steps}, "
@@ -165,16 +160,5 @@ def distill_path(
     student.no_field.requires_grad_(not settings.field)
     batches = DistillationBatches(data, teacher, config, run.team, drawn)
     checks = PathBatches(validation, student, config, run.team)
-    record = record or TeacherRecord(
-        _digest(teacher), teacher.config.sampling_steps, teacher.config.guidance
-    )
     source = Source(data.config.to_dict(), data.digest, teacher=record)
     return train(student, batches.loss, lambda m: validate_dial(m, checks), config, run, source)
-
-
-def _digest(model: PathDiffuser) -> str:
-    """SHA-256 over the weights."""
-    digest = hashlib.sha256()
-    for name, tensor in sorted(model.state_dict().items()):
-        digest.update(name.encode() + tensor.cpu().numpy().tobytes())
-    return digest.hexdigest()
