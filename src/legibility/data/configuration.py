@@ -74,16 +74,12 @@ class DatasetConfig:
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> DatasetConfig:
         """The inverse of `to_dict`; keys must match exactly."""
-        if set(content) != {f.name for f in fields(cls)}:
-            raise DatasetError(
-                f"dataset settings missing or unknown: "
-                f"{sorted(set(content) ^ {f.name for f in fields(cls)})}"
-            )
+        if strange := set(content) ^ {f.name for f in fields(cls)}:
+            raise DatasetError(f"dataset settings missing or unknown: {sorted(strange)}")
         try:
-            goals, observer = tuple(content["goals"]), Observer(**content["observer"])
-        except TypeError as cause:
-            raise DatasetError(f"goals or observer of a dataset are not ours: {cause}") from cause
-        return cls(**{**content, "goals": goals, "observer": observer})
+            return cls(**{**content, "observer": Observer(**content["observer"])})
+        except (TypeError, InvalidInputError) as cause:
+            raise DatasetError(f"observer or goals of a dataset are not ours: {cause}") from cause
 
     def for_validation(self) -> DatasetConfig:
         """The same settings for 128 scenes of the validation stream."""
@@ -125,16 +121,11 @@ class DemonstrationsConfig:
                 than a displacement.
         """
         count("demonstrations", self.demonstrations)
-        if self.demonstrations > source.per_scene:
-            raise InvalidInputError(
-                f"demonstrations must be at most {source.per_scene}, the dataset's trajectories of "
-                f"a scene, got {self.demonstrations}"
-            )
-        if self.demonstrated > source.scenes:
-            raise InvalidInputError(
-                f"demonstrated must be at most {source.scenes}, the dataset's scenes, "
-                f"got {self.demonstrated}"
-            )
+        for name, most in (("demonstrations", source.per_scene), ("demonstrated", source.scenes)):
+            if getattr(self, name) > most:
+                raise InvalidInputError(
+                    f"{name} must be at most {most}, as in the dataset, got {getattr(self, name)}"
+                )
         from ..envs import vector_type
 
         limit = vector_type(None, source.dim).max_displacement
