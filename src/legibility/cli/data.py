@@ -78,7 +78,7 @@ def data(
     if figure is not None:
         from ..figures.plan import archive_figure
 
-        archive = config.source.archive(0, config.observer, config.cells)
+        archive = config.archive(0, config.observer, config.cells)
         scene, curves, labels = archive.scene, archive.trajectories, archive.labels
         archive_figure(scene, 0, curves, labels, content.labels, figure)
         show(f"picture: {figure}")

@@ -148,7 +148,7 @@ def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) 
     from ..training.path import train_path
     from ..training.policy import train_policy, tune_guidance
 
-    train = train_path if stage == "path" else partial(train_policy, stage=stage)
+    train: Any = train_path if stage == "path" else partial(train_policy, stage=stage)
     data, validation, team = _ready(job, stage)
     with _run(job, team) as run:
         trained = train(data, validation, run, settings, **vars(model))

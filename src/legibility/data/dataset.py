@@ -84,7 +84,7 @@ def select(
 
 
 def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
-    archive = config.source.archive(index, config.observer, config.cells)
+    archive = config.archive(index, config.observer, config.cells)
     scene = archive.scene
     rng = np.random.default_rng(stream_seed(config.stream, config.seed, index, "choice"))
     chosen = select(archive, config.per_scene, config.efficiency, rng)
@@ -136,13 +136,11 @@ def generate(
     """
     folder = at_home(folder)
 
-    def scenes(number: int) -> range:
-        return range(number * SHARD, min((number + 1) * SHARD, config.scenes))
-
     counts = {"scenes": config.scenes, "trajectories": config.scenes * config.per_scene}
     make_shards(
         folder, _MANIFEST, config.to_dict(), shard_names(config), partial(_shard, config), counts,
-        source=scenes, workers=workers, cluster=cluster, progress=progress,
+        source=lambda i: range(i * SHARD, min((i + 1) * SHARD, config.scenes)),
+        workers=workers, cluster=cluster, progress=progress,
     )  # fmt: skip
     return Dataset.load(folder)
 

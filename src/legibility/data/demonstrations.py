@@ -169,17 +169,17 @@ def _shard(
     seeds = [int(s) for rng in rngs for s in rng.integers(2**62, size=number)]
     repeated = [scene for scene in scenes for _ in range(number)]
 
-    states, actions, success = _roll(config, repeated, paths, pushed, seeds)
+    motions, success = _roll(config, repeated, paths, pushed, seeds)
     rows = [
         {
             "scene": first + i // number,
             "label": np.float32(labels[i]),
             "path": paths[i].astype(np.float32).ravel(),
             "pushed": bool(pushed[i]),
-            "states": states[i].astype(np.float32).ravel(),
-            "actions": actions[i].astype(np.float32).ravel(),
+            "states": states.astype(np.float32).ravel(),
+            "actions": actions.astype(np.float32).ravel(),
         }
-        for i in range(len(paths))
+        for i, (states, actions) in enumerate(motions)
         if success[i]
     ]
     if not rows:
@@ -196,8 +196,8 @@ def _roll(
     paths: Array,
     pushed: np.ndarray,
     seeds: list[int],
-) -> tuple[list[Array], list[Array], np.ndarray]:
-    """States and actions of the controller on `paths`, and whether it reached each goal."""
+) -> tuple[list[tuple[Array, Array]], np.ndarray]:
+    """States and actions of the controller on `paths`, and whether it reached the goals."""
     env = vector_type(None, scenes[0].dim)(len(paths))
     assert config.push is not None
     options = {"scene": scenes, "noise": config.noise, "push": (config.push * pushed).tolist()}
@@ -219,5 +219,4 @@ def _roll(
         states.append(positions)
         actions.append(sent)
     motions = zip(np.stack(states, 1), np.stack(actions, 1), lengths, strict=True)
-    cut = [(s[: n + 1], a[:n]) for s, a, n in motions]
-    return [s for s, _ in cut], [a for _, a in cut], success
+    return [(s[: n + 1], a[:n]) for s, a, n in motions], success

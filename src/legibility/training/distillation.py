@@ -60,18 +60,14 @@ class DistillationBatches(PathBatches):
         self.waypoints = torch.empty(shape, device=device)
         before = self.teacher.spread.device
         self.teacher.to(device)
-        try:
-            for first in range(0, num, _AT_ONCE):
-                report(first, num)
-                rows = slice(first, first + _AT_ONCE)
-                scenes = torch.arange(num)[rows].repeat_interleave(pairs).to(device)
-                self.waypoints[rows] = self.teacher.sample(
-                    self.conditions.map(lambda x, scenes=scenes: x[scenes]),
-                    self.labels[rows].flatten(),
-                    noise[rows].flatten(0, 1),
-                ).unflatten(0, (-1, pairs))
-        finally:
-            self.teacher.to(before)
+        for scenes in torch.arange(num, device=device).split(_AT_ONCE):
+            report(int(scenes[0]), num)
+            rows = scenes.repeat_interleave(pairs)
+            conditions = self.conditions.map(lambda x, rows=rows: x[rows])
+            levels, drawn = self.labels[scenes].flatten(), noise[scenes].flatten(0, 1)
+            paths = self.teacher.sample(conditions, levels, drawn)
+            self.waypoints[scenes] = paths.unflatten(0, (-1, pairs))
+        self.teacher.to(before)
         report(num, num)
         self.noise = noise
 

@@ -182,26 +182,25 @@ class _State(Generic[M]):
         for p in self.parameters:  # the moments, there from the start so that they can be restored
             moments = {"exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
             self.optimizer.state[p] = {"step": torch.zeros((), device=p.device), **moments}
-        self.scaler, self.generator = team.scaler(), torch.Generator()
+        self.generator = torch.Generator()
         self.step, self.seconds = 0, 0.0
         self.rows: list[dict[str, float]] = []
 
     def advance(self, loss: Loss[M]) -> dict[str, Tensor]:
         """Take one step of the optimiser and of the average; the loss and its parts."""
-        self.generator.manual_seed(_mix(self.config.seed, self.step))
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.config.learning_rate * _schedule(self.step, self.config)
+        mixed = np.random.SeedSequence([self.config.seed, self.step]).generate_state(1, np.uint64)
+        self.generator.manual_seed(int(mixed[0] >> 1))
+        (group,) = self.optimizer.param_groups
+        group["lr"] = self.config.learning_rate * _schedule(self.step, self.config)
         value, parts = loss(self.model, self.generator)
         self.optimizer.zero_grad(set_to_none=True)
-        self.scaler.scale(value).backward()
+        value.backward()
         if self.team.size > 1:
             gradients = [p.grad for p in self.parameters if p.grad is not None]
             for gradient, mean in zip(gradients, self.team.mean(gradients), strict=True):
                 gradient.copy_(mean)
-        self.scaler.unscale_(self.optimizer)
         nn.utils.clip_grad_norm_(self.parameters, 1.0)
-        self.scaler.step(self.optimizer)
-        self.scaler.update()
+        self.optimizer.step()
         decay = min(self.config.ema, (1 + self.step) / (10 + self.step))  # faster at first
         with torch.no_grad():
             for old, new in zip(self.average.parameters(), self.model.parameters(), strict=True):
@@ -292,11 +291,6 @@ def _tensorboard(folder: Path, step: int) -> Any:
     except ImportError:
         return None
     return SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
-
-
-def _mix(seed: int, step: int) -> int:
-    """One number from two, without patterns from step to step."""
-    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1)
 
 
 def _schedule(step: int, config: TrainingConfig) -> float:

@@ -31,18 +31,14 @@ class PathBatches:
     def __init__(
         self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, team: Team
     ) -> None:
-        team.shared("scenes", config.scenes)
-        self.config = config
-        self.team = team
-        device = team.device
-        scenes = data.scenes
-        self.conditions = model.conditions(scenes, [0] * len(scenes)).map(lambda x: x.to(device))
-        frames = [Frame.of(scene, 0) for scene in scenes]
-        waypoints = np.stack(
-            [f.world_to_frame(w) for f, w in zip(frames, data.waypoints, strict=True)]
-        )
-        self.waypoints = torch.from_numpy(waypoints.astype(np.float32)).to(device)
-        self.labels = torch.tensor(data.labels, device=device)
+        team.check_shares("scenes", config.scenes)
+        self.config, self.team = config, team
+        conditions = model.conditions(data.scenes, [0] * len(data.scenes))
+        self.conditions = conditions.map(lambda x: x.to(team.device))
+        motions = zip(data.scenes, data.waypoints, strict=True)
+        waypoints = np.stack([Frame.of(s, 0).world_to_frame(w) for s, w in motions])
+        self.waypoints = torch.from_numpy(waypoints.astype(np.float32)).to(team.device)
+        self.labels = torch.tensor(data.labels, device=team.device)
         self.scorer = FrameScorer(data, self.conditions)
 
     def loss(
@@ -210,17 +206,17 @@ def validate_dial(
     """The dial on validation scenes: rank and error of the achieved label, curves inside."""
     from scipy.stats import spearmanr
 
-    scenes = torch.arange(len(checks.labels), device=checks.team.device)
-    asked = torch.linspace(-1, 1, levels, device=checks.team.device).repeat_interleave(samples)
-    shape = (len(scenes), len(asked), *checks.waypoints.shape[2:])
-    noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(checks.team.device)
-    achieved = torch.empty(len(scenes), len(asked), device=checks.team.device)
-    inside = torch.zeros((), device=checks.team.device)
+    device, size = checks.team.device, len(checks.labels)
+    scenes = torch.arange(size, device=device)
+    asked = torch.linspace(-1, 1, levels, device=device).repeat_interleave(samples)
+    shape = (size, len(asked), *checks.waypoints.shape[2:])
+    noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
+    achieved = torch.empty(shape[:2], device=device)
+    inside = torch.zeros((), device=device)
     for column, level in enumerate(asked):
-        waypoints = model.sample(checks.conditions, level.expand(len(scenes)), noise[:, column])
+        waypoints = model.sample(checks.conditions, level.expand(size), noise[:, column])
         points = checks.scorer.curve(waypoints)
-        label = checks.scorer.label(checks.conditions, scenes, points)
-        achieved[:, column] = label.clamp(-1, 1)
+        achieved[:, column] = checks.scorer.label(checks.conditions, scenes, points).clamp(-1, 1)
         inside += (checks.conditions.wall_distance(points) >= -1e-6).all(dim=1).float().mean()
     labels, wanted = achieved.cpu().numpy(), asked.cpu().numpy()
     ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in labels])

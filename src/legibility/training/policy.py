@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
@@ -60,13 +60,9 @@ class PolicyBatches:
     """
 
     def __init__(
-        self,
-        guided: Samples,
-        unguided: Samples,
-        config: PolicyTrainingConfig,
-        team: Team,
+        self, guided: Samples, unguided: Samples, config: PolicyTrainingConfig, team: Team
     ) -> None:
-        team.shared("batch", config.batch)
+        team.check_shares("batch", config.batch)
         self.config = config
         self.team = team
         self.guided, self.unguided = (
@@ -105,7 +101,7 @@ def along_paths(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
     """Every step of the demonstrations as the policy sees it with the path, and without it."""
     tracker = PathTracker(data.paths, data.limit, data.workspace)
 
-    def seen(rows: Any, now: Array, before: Array, actions: Array) -> Iterable[Samples]:
+    def seen(rows: Any, now: Array, before: Array, actions: Array) -> Iterator[Samples]:
         for path in (tracker.of(rows), None):
             view = Observation.of(now, before, data.paths[rows, -1], data.limit, path)
             yield view.features, actions @ view.rotation.swapaxes(1, 2)
@@ -116,7 +112,7 @@ def along_paths(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
 def toward_goals(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
     """Every step of the demonstrations as the policy sees it with the goal, and without it."""
 
-    def seen(rows: Any, now: Array, before: Array, actions: Array) -> Iterable[Samples]:
+    def seen(rows: Any, now: Array, before: Array, actions: Array) -> Iterator[Samples]:
         for goal in (data.paths[rows, -1], None):
             yield goal_features(now, before, goal, data.limit, data.workspace), actions
 
@@ -126,7 +122,7 @@ def toward_goals(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
 def _samples(
     data: Demonstrations,
     chunk: int,
-    seen: Callable[..., Iterable[Samples]],
+    seen: Callable[..., Iterator[Samples]],
     tracker: PathTracker | None = None,
 ) -> tuple[Samples, Samples]:
     """The samples with and without guidance that `seen` yields at all times of `data`.
@@ -137,12 +133,8 @@ def _samples(
     """
     lengths = np.array([len(a) for a in data.actions])
     longest = lengths.max()
-    states, actions = (
-        np.stack([np.pad(x, ((0, size - len(x)), (0, 0)), mode=mode) for x in motions])
-        for motions, size, mode in (
-            (data.states, longest + 1, "edge"), (data.actions, longest + chunk, "constant"),
-        )
-    )  # fmt: skip
+    states = np.stack([np.pad(s, ((0, longest + 1 - len(s)), (0, 0)), "edge") for s in data.states])
+    actions = np.stack([np.pad(a, ((0, longest + chunk - len(a)), (0, 0))) for a in data.actions])
     steps = []
     for t in range(longest):
         now, before = states[:, t], states[:, max(t - 1, 0)]
@@ -183,7 +175,7 @@ def train_policy(
         InvalidInputError: the validation data are of another dimension.
         CheckpointError: see `train`.
     """
-    network, shape, samples, validate = _STAGES[stage]
+    shape, network, samples, validate = _STAGES[stage]
     config = config or PolicyTrainingConfig()
     dim = data.paths.shape[-1]
     if validation.config.dim != dim:
@@ -192,7 +184,8 @@ def train_policy(
         )
     model = new_model(network, shape(**settings, dim=dim, limit=data.limit), config.seed)
     model.to(run.team.device)
-    batches = PolicyBatches(*samples(data, model.config.chunk), config, run.team)
+    guided, unguided = samples(data, model.config.chunk)
+    batches = PolicyBatches(guided, unguided, config, run.team)
     model.scale.copy_(batches.scale())
     shown = {**asdict(data.config), "number": len(data)}
     source = Source(data.dataset.to_dict(), data.digest, shown)
@@ -257,10 +250,10 @@ def validate_goal(model: GoalPolicy, validation: Dataset) -> dict[str, float]:
 
 
 _STAGES: dict[str, Any] = {
-    "policy": (PathPolicy, PathPolicyConfig, along_paths, validate_policy),
-    "goal": (GoalPolicy, GoalPolicyConfig, toward_goals, validate_goal),
+    "policy": (PathPolicyConfig, PathPolicy, along_paths, validate_policy),
+    "goal": (GoalPolicyConfig, GoalPolicy, toward_goals, validate_goal),
 }
-"""The network of each stage, its settings, its samples and its validation."""
+"""The settings of each stage, its network, its samples and its validation."""
 
 
 def tune_guidance(
