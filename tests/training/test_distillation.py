@@ -14,8 +14,8 @@ from legibility.intent.observer import Observer
 from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.provenance import TeacherRecord
 from legibility.training.configuration import DistillationConfig
-from legibility.training.distillation import DistillationBatches, distill_path
 from legibility.training.loop import Run
+from legibility.training.path import DistillationBatches, distill_path
 
 SHORT = DistillationConfig(
     steps=60, scenes=4, per_scene=8, pairs=12, ends=0.25, warmup=3, learning_rate=2e-3, ema=0.9,

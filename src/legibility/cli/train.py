@@ -104,7 +104,7 @@ def distill(
         teacher: name or folder of the weights to distill.
     """
     from ..models.pretrained import load_stages, pretrained_folder, save_stage
-    from ..training.distillation import distill_path
+    from ..training.path import distill_path
 
     folder, saved = pretrained_folder(teacher), job.files.saved
     stages, records = load_stages(folder)

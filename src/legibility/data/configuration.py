@@ -23,7 +23,7 @@ class SceneStream:
     """Random scenes by index; the target is goal 0 in each.
 
     Attributes:
-        stream: seed stream, train or validation, or evaluation in evaluations; none share a scene.
+        stream: seed stream, train, validation or evaluation; no two share a scene.
         dim: 2 or 3.
         goals: least and most goals of a scene, from 2 to 12.
         seed: of the scenes and their archives.

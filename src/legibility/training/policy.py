@@ -92,10 +92,6 @@ class PolicyBatches:
         loss = F.mse_loss(predicted.float(), velocity)
         return loss, {"velocity": loss.detach()}
 
-    def scale(self) -> Tensor:
-        """Root mean square of the actions, in limits."""
-        return self.guided[1].square().mean().sqrt()
-
 
 def along_paths(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
     """Every step of the demonstrations as the policy sees it with the path, and without it."""
@@ -186,7 +182,7 @@ def train_policy(
     model.to(run.team.device)
     guided, unguided = samples(data, model.config.chunk)
     batches = PolicyBatches(guided, unguided, config, run.team)
-    model.scale.copy_(batches.scale())
+    model.scale.copy_(batches.guided[1].square().mean().sqrt())
     shown = {**asdict(data.config), "number": len(data)}
     source = Source(data.dataset.to_dict(), data.digest, shown)
     return train(model, batches.loss, lambda m: validate(m, validation), config, run, source)
