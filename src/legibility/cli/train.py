@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from ..training.team import Team
 
 
-@dataclass(frozen=True)
-class Files:
+@dataclass(frozen=True, kw_only=True)
+class Job:
     """Files that a training reads and writes.
 
     Attributes:
@@ -59,20 +59,13 @@ class Files:
     validation: Folder = None
     weights: Folder = None
     json: OutputFile = None
+    workers: Workers
+    where: Where
 
     @property
     def saved(self) -> Path:
         """Where the weights are saved."""
         return self.weights or self.out / "weights"
-
-
-@dataclass(frozen=True)
-class Job:
-    """What every training has: files, workers that make validation data, device and precision."""
-
-    files: Files
-    workers: Workers
-    where: Where
 
 
 _Job = Annotated[Job, arg(name="")]
@@ -106,7 +99,7 @@ def distill(
     from ..models.pretrained import load_stages, pretrained_folder, save_stage
     from ..training.path import distill_path
 
-    folder, saved = pretrained_folder(teacher), job.files.saved
+    folder, saved = pretrained_folder(teacher), job.saved
     stages, records = load_stages(folder)
     if "path" not in stages:
         raise CheckpointError(f"{folder} has no stage 1")
@@ -163,24 +156,23 @@ def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) 
 
 def _ready(job: Job, stage: str) -> tuple[Any, Dataset, Team]:
     """The data of a stage, the validation data, given or made alike, and the team that trains."""
-    files = job.files
-    check_file(files.json, "JSON file")
-    check_folder(files.out, "checkpoint")
-    check_folder(files.saved, "weights")
-    if files.saved.resolve() == files.out.resolve():
-        raise InvalidInputError(f"weights must be another folder than out, got {files.saved}")
+    check_file(job.json, "JSON file")
+    check_folder(job.out, "checkpoint")
+    check_folder(job.saved, "weights")
+    if job.saved.resolve() == job.out.resolve():
+        raise InvalidInputError(f"weights must be another folder than out, got {job.saved}")
     from ..data.dataset import Dataset, generate
     from ..data.demonstrations import Demonstrations
     from ..training.team import Team
 
-    data: Any = (Dataset if stage == "path" else Demonstrations).load(files.data)
+    data: Any = (Dataset if stage == "path" else Demonstrations).load(job.data)
     config = data.config if stage == "path" else data.dataset
     team = Team.join(**vars(job.where))
-    if files.validation is not None:
-        return data, Dataset.load(files.validation), team
+    if job.validation is not None:
+        return data, Dataset.load(job.validation), team
     if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
-    folder = files.out / "validation"
+    folder = job.out / "validation"
     with team.main_first():
         if team.main:
             with progress_bar("shards for validation") as progress:
@@ -194,7 +186,7 @@ def _run(job: Job, team: Team) -> Iterator[Run]:
     from ..training.loop import Run
 
     with progress_bar("steps") as progress:
-        yield Run(job.files.out, team, lambda *at: progress(*at[:2], _line(at[0], at[2])))
+        yield Run(job.out, team, lambda *at: progress(*at[:2], _line(at[0], at[2])))
     team.leave()
 
 
@@ -213,20 +205,20 @@ def _save(
         return
     from ..models.pretrained import save_stage
 
-    files, record, metrics = job.files, trained.record, trained.metrics
-    save_stage(files.saved, stage, trained.model, record)
+    record, metrics = trained.record, trained.metrics
+    save_stage(job.saved, stage, trained.model, record)
     source = {"data", "digest", "demonstrations", "teacher", "training"}
     measured = {name: value for name, value in vars(record).items() if name not in source}
     digests = {"data": record.digest, "validation": validation.digest}
     write_report(
-        files.json,
+        job.json,
         seed=record.training["seed"],
         config={"training": record.training, stage: trained.model.config.to_dict()},
-        model=model_record(str(files.saved)),
+        model=model_record(str(job.saved)),
         result={**digests, **measured, "last": metrics, **tuning},
     )
     title = f"{record.parameters} parameters after {record.training['steps']} steps"
     rows = table(title, "metric", "last", text_columns=1)
     for name, value in metrics.items():
         rows.add_row(name, number(value, 0 if name in ("step", "seconds") else 4))
-    show(rows, f"weights: {files.saved}")
+    show(rows, f"weights: {job.saved}")

@@ -42,11 +42,8 @@ class SceneStream:
         if self.dim not in (2, 3):
             raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
         random_seed("seed", self.seed)
-        try:
-            low, high = (count("goals", number, low=2) for number in self.goals)
-        except (TypeError, ValueError):
-            low, high = 1, 0
-        if not low <= high <= 12:
+        goals = [count("goals", n, low=2) for n in self.goals] if np.iterable(self.goals) else []
+        if len(goals) != 2 or not goals[0] <= goals[1] <= 12:
             raise InvalidInputError(
                 f"goals must be two integers from 2 to 12, rising, got {self.goals}"
             )

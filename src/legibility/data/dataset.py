@@ -34,11 +34,7 @@ _MANIFEST = "manifest.json"
 
 
 def paths_of(archive: Archive) -> Array:
-    """The archive's trajectories as paths: start, 8 waypoints at equal arc length, goal.
-
-    Returns:
-        `(N, K + 2, D)` [m].
-    """
+    """The trajectories as paths `(N, K + 2, D)` [m]: start, waypoints at equal arc length, goal."""
     return bezier_trajectories(archive.controls, NUM_WAYPOINTS + 2)
 
 

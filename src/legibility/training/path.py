@@ -42,7 +42,6 @@ class PathBatches:
     def __init__(
         self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, team: Team
     ) -> None:
-        team.check_shares("scenes", config.scenes)
         self.config, self.team = config, team
         conditions = model.conditions(data.scenes, [0] * len(data.scenes))
         self.conditions = conditions.map(lambda x: x.to(team.device))
@@ -231,12 +230,9 @@ class FrameScorer:
         return -total / ((decay[:, 1:] + decay[:, :-1]) * width).sum(1)
 
     def label(self, conditions: Conditions, scenes: Tensor, points: Tensor) -> Tensor:
-        """The achieved label `(B,)`, extrapolated beyond ±1 so that its gradient never vanishes.
+        """The achieved label `(B,)` of curves `(B, T, D)` in the `scenes (B,)` of the data.
 
-        Args:
-            conditions: of the `B` scenes.
-            scenes: their indices `(B,)` in the data.
-            points: `(B, T, D)`, curves in their start–target frames.
+        It is extrapolated beyond ±1 so that its gradient never vanishes.
         """
         score = -torch.log((-self.score(conditions, points)).clamp_min(_LEAST_COST))
         knots = self.knots[scenes]
@@ -290,7 +286,7 @@ def distill_path(
     *,
     drawn: Callable[[int, int], None] = lambda done, total: None,
 ) -> Trained[PathDiffuser]:
-    """Train a student that draws the paths of `teacher` in fewer steps and without guidance.
+    """Train a student of `teacher`, a stage 1 of fewer sampling steps and without guidance.
 
     Args:
         teacher: a trained stage 1.
@@ -300,9 +296,6 @@ def distill_path(
         config: how to train.
         record: of the teacher.
         drawn: called with the number of scenes for which the teacher has drawn, and that of all.
-
-    Returns:
-        The student, a stage 1 like any other, with its own `sampling_steps`.
 
     Raises:
         InvalidInputError: the data are of another observer than the teacher, or the student has
@@ -329,11 +322,7 @@ def distill_path(
 
 
 def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -> None:
-    """Check that both datasets have the dimension and the observer of a model of `config`.
-
-    Raises:
-        InvalidInputError: they do not.
-    """
+    """Raise unless both datasets have the dimension and the observer of a model of `config`."""
     for name, dataset in (("data", data), ("validation data", validation)):
         settings = {"dim": dataset.config.dim, **vars(dataset.config.observer)}
         for key, value in {"dim": config.dim, **vars(config.observer)}.items():

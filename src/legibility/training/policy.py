@@ -62,9 +62,7 @@ class PolicyBatches:
     def __init__(
         self, guided: Samples, unguided: Samples, config: PolicyTrainingConfig, team: Team
     ) -> None:
-        team.check_shares("batch", config.batch)
-        self.config = config
-        self.team = team
+        self.config, self.team = config, team
         self.guided, self.unguided = (
             [torch.from_numpy(x.astype(np.float32)).to(team.device) for x in parts]
             for parts in (guided, unguided)
@@ -229,8 +227,9 @@ def _guided_rollouts(model: GoalPolicy, validation: Dataset) -> list[Rollout]:
     """One closed-loop motion in each scene of `validation`."""
     scenes, observer = validation.scenes, validation.config.observer
     paths = [straight_path(scene, 0, 0.0, observer) for scene in scenes]
-    targets = [0] * len(scenes)
-    return _rollouts(model, lambda m: GuidedPolicy(m, scenes, targets, seed=0), paths, scenes)
+    return _rollouts(
+        model, lambda m: GuidedPolicy(m, scenes, [0] * len(paths), seed=0), paths, scenes
+    )
 
 
 def validate_goal(model: GoalPolicy, validation: Dataset) -> dict[str, float]:

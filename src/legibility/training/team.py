@@ -66,15 +66,12 @@ class Team:
         """Whether this is the process that logs, validates and writes."""
         return self.rank == 0
 
-    def check_shares(self, name: str, number: int) -> None:
-        """Raise unless the setting `name` gives every process the same share of a batch."""
-        if number % self.size:
-            raise InvalidInputError(
-                f"{name} must be a multiple of the {self.size} processes, got {number}"
-            )
-
     def share(self, batch: Tensor) -> Tensor:
         """This process's rows of a whole `batch`."""
+        if len(batch) % self.size:
+            raise InvalidInputError(
+                f"a batch must be a multiple of the {self.size} processes, got {len(batch)} items"
+            )
         return batch.chunk(self.size)[self.rank]
 
     def autocast(self) -> Any:
