@@ -21,7 +21,7 @@ def baselines(dataset, cli, tmp_path_factory, one_thread):
     )
     with pytest.MonkeyPatch.context() as patch:
         tried = {"guidance": (2.0, 5.0), "guidance_decay": (0.5,), "guidance_share": (0.9, 1.0)}
-        patch.setattr("legibility.training.goal.GUIDANCE", tried)
+        patch.setattr("legibility.training.policy.GUIDANCE", tried)
         found = {}
         for verb in ("diffusion-policy", "legibility-diffuser"):
             found[verb] = folder / f"{verb}-tiny"

@@ -70,7 +70,7 @@ def data(request, tmp_path_factory):
 
 
 def archive_of(data, index):
-    return data.config.source.archive(index, data.config.observer, data.config.cells)
+    return data.config.archive(index, data.config.observer, data.config.cells)
 
 
 def spoil_manifest(folder, **changes):
@@ -296,7 +296,7 @@ class TestContent:
 
     def test_scenes_and_summary_are_those_of_the_configuration(self, data):
         for index, scene in enumerate(data.scenes):
-            assert scene == data.config.source.scene(index)
+            assert scene == data.config.scene(index)
             archive = archive_of(data, index)
             found = {name: values[index] for name, values in data.summary.items()}
             assert found == {

@@ -105,7 +105,7 @@ def test_nobody_arrives(made, tmp_path, monkeypatch):
         file.unlink()
     roll = demonstrations._roll
     monkeypatch.setattr(
-        demonstrations, "_roll", lambda *args: (*roll(*args)[:2], np.zeros(len(args[2]), bool))
+        demonstrations, "_roll", lambda *args: (roll(*args)[0], np.zeros(len(args[2]), bool))
     )
     with pytest.raises(InvalidInputError, match="lower noise or push"):
         demonstrate(folder, SHOWN)

@@ -11,8 +11,8 @@ import torch
 
 import legibility as lg
 from legibility.curves import path_curve
+from legibility.data.configuration import SceneStream
 from legibility.data.dataset import paths_of
-from legibility.data.scenes import SceneStream
 from legibility.errors import InvalidInputError
 from legibility.evaluation import dial
 from legibility.evaluation.configuration import DialConfig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from legibility.data.scenes import SceneStream
+from legibility.data.configuration import SceneStream
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import InvalidInputError
 from legibility.evaluation import execution

@@ -14,8 +14,8 @@ from legibility.intent.observer import Observer
 from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.provenance import TeacherRecord
 from legibility.training.configuration import DistillationConfig
-from legibility.training.distillation import DistillationBatches, distill_path
 from legibility.training.loop import Run
+from legibility.training.path import DistillationBatches, distill_path
 
 SHORT = DistillationConfig(
     steps=60, scenes=4, per_scene=8, pairs=12, ends=0.25, warmup=3, learning_rate=2e-3, ema=0.9,
@@ -42,6 +42,14 @@ def make_teacher(data, seed=0, std=0.3, **settings):
 @pytest.fixture(scope="module")
 def teacher(data):
     return make_teacher(data)
+
+
+def distill(teacher, data, run, config, **options):
+    """A student that is validated in the scenes of its training."""
+    weights = sum(float(p.double().abs().sum()) for p in teacher.state_dict().values())
+    settings = teacher.config.sampling_steps, teacher.config.guidance
+    record = TeacherRecord(str(weights), *settings)
+    return distill_path(teacher, data, data, run, config, record, **options)
 
 
 def distance(model, batches):
@@ -84,8 +92,8 @@ def test_a_student_learns_what_its_teacher_draws(data, tmp_path, steps):
     teacher = make_teacher(data, std=0.1)
     config = dataclasses.replace(SHORT, sampling_steps=steps, learning_rate=5e-3, jerk_weight=0.0)
     seen = []
-    student = distill_path(
-        teacher, data, data, Run(tmp_path, CPU), config, drawn=lambda *at: seen.append(at)
+    student = distill(
+        teacher, data, Run(tmp_path, CPU), config, drawn=lambda *at: seen.append(at)
     ).model
     assert seen[-1] == (4, 4)
     assert student.config == dataclasses.replace(
@@ -102,9 +110,7 @@ def test_a_student_learns_what_its_teacher_draws(data, tmp_path, steps):
 def test_a_finished_run_draws_nothing(teacher, data, tmp_path):
     seen = []
     first, again = (
-        distill_path(
-            teacher, data, data, Run(tmp_path, CPU), BRIEF, drawn=lambda *at: seen.append(at)
-        ).model
+        distill(teacher, data, Run(tmp_path, CPU), BRIEF, drawn=lambda *at: seen.append(at)).model
         for _ in range(2)
     )
     assert seen.count((4, 4)) == 1
@@ -166,13 +172,13 @@ def test_any_teacher_and_a_run_in_parts(settings, data, tmp_path):
     model = make_teacher(data, **settings)
     config = dataclasses.replace(BRIEF, sampling_steps=2)
 
-    def distill(name, **options):
-        return distill_path(model, data, data, Run(tmp_path / name, CPU, **options), config).model
+    def student(name, **options):
+        return distill(model, data, Run(tmp_path / name, CPU, **options), config).model
 
-    whole = distill("whole")
+    whole = student("whole")
     with pytest.raises(KeyboardInterrupt):
-        distill("parts", progress=stop_at(3))
-    distill("parts")
+        student("parts", progress=stop_at(3))
+    student("parts")
     assert_same_run(tmp_path / "whole", tmp_path / "parts")
     trained = not settings.get("field", True)
     assert torch.equal(whole.no_field, model.no_field) != trained
@@ -180,32 +186,30 @@ def test_any_teacher_and_a_run_in_parts(settings, data, tmp_path):
 
 def test_another_teacher_is_another_run(teacher, data, tmp_path):
     run = Run(tmp_path, CPU)
-    distill_path(teacher, data, data, run, BRIEF)
+    distill(teacher, data, run, BRIEF)
     other = PathDiffuser(teacher.config)
     other.load_state_dict({k: v + 0.01 for k, v in teacher.state_dict().items()})
     with pytest.raises(CheckpointError, match=r"teacher\.sha256 is '"):
-        distill_path(other, data, data, run, BRIEF)
+        distill(other, data, run, BRIEF)
     stronger = PathDiffuser(dataclasses.replace(teacher.config, guidance=0.7))
     stronger.load_state_dict(teacher.state_dict())
     with pytest.raises(CheckpointError, match=r"teacher\.guidance is 0\.5 in .* and 0\.7 now"):
-        distill_path(stronger, data, data, run, BRIEF)
+        distill(stronger, data, run, BRIEF)
 
 
 def test_record_of_the_teacher(teacher, data, tmp_path):
-    made = distill_path(teacher, data, data, Run(tmp_path / "a", CPU), BRIEF).record.teacher
-    assert (made.sampling_steps, made.guidance, made.training) == (3, 0.5, None)
     record = TeacherRecord("abc", 3, 0.5)
-    run = Run(tmp_path / "b", CPU)
-    assert distill_path(teacher, data, data, run, BRIEF, record=record).record.teacher == record
+    run = Run(tmp_path, CPU)
+    assert distill_path(teacher, data, data, run, BRIEF, record).record.teacher == record
 
 
 def test_bad_input(teacher, data, tmp_path):
     run = Run(tmp_path, CPU)
     other = PathDiffuser(dataclasses.replace(teacher.config, observer=Observer(sigma=0.3)))
     with pytest.raises(InvalidInputError, match=r"the data have sigma 0\.15, the model 0\.3"):
-        distill_path(other, data, data, run, SHORT)
+        distill(other, data, run, SHORT)
     with pytest.raises(InvalidInputError, match="sampling_steps must be at most 100, got 101"):
-        distill_path(teacher, data, data, run, dataclasses.replace(SHORT, sampling_steps=101))
+        distill(teacher, data, run, dataclasses.replace(SHORT, sampling_steps=101))
     for values, message in (
         ({"pairs": 0}, "pairs must be"),
         ({"ends": 1.0}, "ends must"),

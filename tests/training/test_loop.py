@@ -230,8 +230,9 @@ class TestRefuses:
 
     def test_another_format(self, finished):
         tensors, header = load_tensors(finished / CHECKPOINT)
-        save_tensors(finished / CHECKPOINT, tensors, {**header, "format": 99})
-        with pytest.raises(CheckpointError, match="has format 99; this version reads 1"):
+        header["settings"]["format"] = 99
+        save_tensors(finished / CHECKPOINT, tensors, header)
+        with pytest.raises(CheckpointError, match="format is 99 in the checkpoint and 1 now"):
             train_line(finished)
 
     def test_half_a_checkpoint(self, finished):
@@ -261,10 +262,10 @@ class TestRefuses:
 
     @pytest.mark.parametrize(
         "header",
-        [None, {}, [], {"step": 4}, {"format": 1}, {"format": 1, "settings": [], "step": 4},
-         {"format": 1, "settings": {}, "step": "x", "seconds": 1, "log": []},
-         {"format": 1, "settings": None, "step": 4, "seconds": 1, "log": []},
-         {"format": 1, "settings": {}, "step": 4, "seconds": 1, "log": [3]}],
+        [None, {}, [], {"step": 4}, {"settings": []}, {"settings": [], "step": 4},
+         {"settings": {}, "step": "x", "seconds": 1, "log": []},
+         {"settings": None, "step": 4, "seconds": 1, "log": []},
+         {"settings": {}, "step": 4, "seconds": 1, "log": [3]}],
     )  # fmt: skip
     def test_something_else(self, finished, header):
         save_tensors(finished / CHECKPOINT, {"a": torch.ones(1)}, header)

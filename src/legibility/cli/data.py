@@ -67,17 +67,20 @@ def data(
     from ..data.dataset import Dataset
 
     if out is not None:
-        content = _make(out, made(DatasetConfig, dataset, observer=made(Observer, observer)),
-                        made(DemonstrationsConfig, controller), workers)  # fmt: skip
+        config = made(DatasetConfig, dataset, observer=made(Observer, observer))
+        content = _make(out, config, made(DemonstrationsConfig, controller), workers)
     else:
         content = Dataset.load(folder)
     config = content.config
     result = _describe(content, folder)
     write_report(json, seed=config.seed, config=config.to_dict(), result=result)
-    if figure is not None:
-        _draw(content, figure)
     show(*_tables(result, config, folder))
     if figure is not None:
+        from ..figures.plan import archive_figure
+
+        archive = config.archive(0, config.observer, config.cells)
+        scene, curves, labels = archive.scene, archive.trajectories, archive.labels
+        archive_figure(scene, 0, curves, labels, content.labels, figure)
         show(f"picture: {figure}")
 
 
@@ -101,89 +104,64 @@ def _make(
     return content
 
 
-def _draw(dataset: Dataset, figure: Path) -> None:
-    from ..figures.plan import archive_figure
-
-    config = dataset.config
-    archive = config.source.archive(0, config.observer, config.cells)
-    archive_figure(archive.scene, 0, archive.trajectories, archive.labels, dataset.labels, figure)
-
-
 def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
+    """The content of the JSON, with that of demonstrations if there are any."""
     from ..data.dataset import shard_names
+    from ..data.demonstrations import DEMONSTRATIONS, Demonstrations
 
     labels = np.clip(dataset.labels, -1, 1)
     edges = np.round(np.linspace(-1, 1, _BINS + 1), 12)
-    counts, _ = np.histogram(labels, bins=edges)
     goals, scenes = np.unique([s.num_goals for s in dataset.scenes], return_counts=True)
-    summary = dataset.summary
-    return {
+    means = {
+        name: {"mean": dataset.summary[name].mean(), end: getattr(dataset.summary[name], end)()}
+        for name, end in (("coverage", "min"), ("elites", "min"), ("candidates", "max"))
+    }
+    result = {
         "scenes": len(dataset.scenes),
         "trajectories": labels.size,
         "sha256": dataset.digest,
         "bytes": sum((folder / n).stat().st_size for n in shard_names(dataset.config)),
         "goals": dict(zip(goals.tolist(), scenes, strict=True)),
-        "coverage": {"mean": summary["coverage"].mean(), "min": summary["coverage"].min()},
-        "elites": {"mean": summary["elites"].mean(), "min": summary["elites"].min()},
-        "candidates": {"mean": summary["candidates"].mean(), "max": summary["candidates"].max()},
-        "labels": {"edges": edges, "counts": counts},
-        **_demonstrated(folder),
+        **means,
+        "labels": {"edges": edges, "counts": np.histogram(labels, bins=edges)[0]},
     }
-
-
-def _demonstrated(folder: Path) -> dict[str, Any]:
-    """The description of the demonstrations in `folder`, if there are any."""
-    from ..data.demonstrations import DEMONSTRATIONS, Demonstrations
-
-    if not (folder / DEMONSTRATIONS).exists():
-        return {}
-    shown = Demonstrations.load(folder)
-    steps = np.array([len(actions) for actions in shown.actions])
-    return {
-        "demonstrations": {
+    if (folder / DEMONSTRATIONS).exists():
+        shown = Demonstrations.load(folder)
+        steps = np.array([len(actions) for actions in shown.actions])
+        result["demonstrations"] = {
             **asdict(shown.config),
             "number": len(shown),
             "pushed": shown.pushed.sum(),
             "steps": {"mean": steps.mean(), "max": steps.max()},
             "sha256": shown.digest,
         }
-    }
+    return result
 
 
 def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list[Table]:
     facts = table(f"dataset {folder}", "", "", text_columns=2)
     for name, value in config.to_dict().items():
-        shown = "..".join(map(str, value)) if isinstance(value, list) else str(value)
-        facts.add_row(name, shown)
+        facts.add_row(name, "..".join(map(str, value)) if isinstance(value, list) else str(value))
     facts.add_section()
+    elites, coverage = result["elites"], result["coverage"]
     facts.add_row("trajectories", f"{result['trajectories']} in {result['scenes']} scenes")
-    facts.add_row(
-        "elites a scene", f"{result['elites']['mean']:.0f} (least {result['elites']['min']})"
-    )
-    facts.add_row(
-        "coverage", f"{result['coverage']['mean']:.3f} (least {result['coverage']['min']:.3f})"
-    )
+    facts.add_row("elites a scene", f"{elites['mean']:.0f} (least {elites['min']})")
+    facts.add_row("coverage", f"{coverage['mean']:.3f} (least {coverage['min']:.3f})")
     facts.add_row("size", f"{result['bytes'] / 1e6:.3g} MB")
     facts.add_row("sha256", result["sha256"])
-    if demonstrations := result.get("demonstrations"):
+    if shown := result.get("demonstrations"):
         facts.add_section()
-        steps = demonstrations["steps"]
-        facts.add_row(
-            "demonstrations",
-            f"{demonstrations['number']}, {demonstrations['pushed']} of them with a push",
-        )
-        facts.add_row("steps of each", f"{steps['mean']:.1f} (most {steps['max']})")
-        facts.add_row("sha256", demonstrations["sha256"])
-
-    goals = {str(n): int(k) for n, k in result["goals"].items()}
+        facts.add_row("demonstrations", f"{shown['number']}, {shown['pushed']} of them with a push")
+        facts.add_row("steps", f"{shown['steps']['mean']:.1f} (most {shown['steps']['max']})")
+        facts.add_row("sha256", shown["sha256"])
     edges, counts = result["labels"]["edges"], result["labels"]["counts"]
     labels = {f"{a:+.1f} … {b:+.1f}": n for a, b, n in zip(edges, edges[1:], counts, strict=False)}
-    return [facts, _bars("goals", "scenes", goals), _bars("ℓ", "trajectories", labels)]
+    return [facts, _bars("goals", "scenes", result["goals"]), _bars("ℓ", "trajectories", labels)]
 
 
-def _bars(name: str, what: str, counts: dict[str, int]) -> Table:
-    rows = Table(name, what, Column("", left=True), text_columns=0)
-    most = max(counts.values())
+def _bars(name: str, items: str, counts: dict[Any, int]) -> Table:
+    """A table of `counts` with a bar for each."""
+    rows = Table(name, items, Column("", left=True), text_columns=0)
     for key, value in counts.items():
-        rows.add_row(key, str(value), "█" * round(_BAR * value / most))
+        rows.add_row(str(key), str(value), "█" * round(_BAR * value / max(counts.values())))
     return rows

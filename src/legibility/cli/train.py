@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from ..data.configuration import DatasetConfig
 from ..errors import CheckpointError, InvalidInputError
 from ..files import file_hash
 from ..models.configuration import GoalPolicyConfig, PathDiffuserConfig, PathPolicyConfig
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from ..training.team import Team
 
 
-@dataclass(frozen=True)
-class Files:
+@dataclass(frozen=True, kw_only=True)
+class Job:
     """Files that a training reads and writes.
 
     Attributes:
@@ -59,20 +59,13 @@ class Files:
     validation: Folder = None
     weights: Folder = None
     json: OutputFile = None
+    workers: Workers
+    where: Where
 
     @property
     def saved(self) -> Path:
         """Where the weights are saved."""
         return self.weights or self.out / "weights"
-
-
-@dataclass(frozen=True)
-class Job:
-    """What every training has: files, workers that make validation data, device and precision."""
-
-    files: Files
-    workers: Workers
-    where: Where
 
 
 _Job = Annotated[Job, arg(name="")]
@@ -103,29 +96,22 @@ def distill(
     Args:
         teacher: name or folder of the weights to distill.
     """
-    settings = made(DistillationConfig, training)
-    _check_files(job.files)
-    from ..data.dataset import Dataset
     from ..models.pretrained import load_stages, pretrained_folder, save_stage
-    from ..training.distillation import distill_path
+    from ..training.path import distill_path
 
-    folder, saved = pretrained_folder(teacher), job.files.saved
+    folder, saved = pretrained_folder(teacher), job.saved
     stages, records = load_stages(folder)
     if "path" not in stages:
         raise CheckpointError(f"{folder} has no stage 1")
     if saved.resolve() == folder.resolve():
         raise InvalidInputError(f"weights must not be the teacher's own folder, got {saved}")
-    data = Dataset.load(job.files.data)
-    team, validation = _ready(job, data.config)
+    settings = made(DistillationConfig, training)
+    data, validation, team = _ready(job, "path")
     model = stages["path"]
-    record = TeacherRecord(
-        sha256=file_hash(folder / "path.safetensors"),
-        sampling_steps=model.config.sampling_steps,
-        guidance=model.config.guidance,
-        training=records["path"],
-    )
+    sha256, config = file_hash(folder / "path.safetensors"), model.config
+    record = TeacherRecord(sha256, config.sampling_steps, config.guidance, records["path"])
     with progress_bar("scenes of the teacher") as drawn, _run(job, team) as run:
-        trained = distill_path(model, data, validation, run, settings, record=record, drawn=drawn)
+        trained = distill_path(model, data, validation, run, settings, record, drawn=drawn)
     if "policy" in stages and team.main:
         save_stage(saved, "policy", stages["policy"], records["policy"])
     _save(job, team, "path", trained, validation)
@@ -152,16 +138,11 @@ def legibility_diffuser(job: _Job, training: _Guided, model: _GoalModel) -> None
 
 def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) -> None:
     """Train a stage from nothing and save it."""
-    _check_files(job.files)
-    from ..data.dataset import Dataset
-    from ..data.demonstrations import Demonstrations
-    from ..training.goal import train_goal, tune_guidance
     from ..training.path import train_path
-    from ..training.policy import train_policy
+    from ..training.policy import train_policy, tune_guidance
 
-    data: Any = (Dataset if stage == "path" else Demonstrations).load(job.files.data)
-    train: Any = {"path": train_path, "policy": train_policy, "goal": train_goal}[stage]
-    team, validation = _ready(job, data.config if stage == "path" else data.dataset)
+    train: Any = train_path if stage == "path" else partial(train_policy, stage=stage)
+    data, validation, team = _ready(job, stage)
     with _run(job, team) as run:
         trained = train(data, validation, run, settings, **vars(model))
     tuning = {}
@@ -170,35 +151,33 @@ def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) 
             chosen, rows = tune_guidance(trained.model, validation, progress)
         trained.model.config = replace(trained.model.config, **chosen)
         tuning = {"tuning": rows}
-    _save(job, team, stage, trained, validation, tuning)
+    _save(job, team, stage, trained, validation, **tuning)
 
 
-def _check_files(files: Files) -> None:
-    """Raise before any work if the files that a training writes cannot be written."""
-    check_file(files.json, "JSON file")
-    check_folder(files.out, "checkpoint")
-    check_folder(files.saved, "weights")
-    if files.saved.resolve() == files.out.resolve():
-        raise InvalidInputError(f"weights must be another folder than out, got {files.saved}")
-
-
-def _ready(job: Job, config: DatasetConfig) -> tuple[Team, Dataset]:
-    """The team that trains and its validation data: those given, or made like data of `config`."""
+def _ready(job: Job, stage: str) -> tuple[Any, Dataset, Team]:
+    """The data of a stage, the validation data, given or made alike, and the team that trains."""
+    check_file(job.json, "JSON file")
+    check_folder(job.out, "checkpoint")
+    check_folder(job.saved, "weights")
+    if job.saved.resolve() == job.out.resolve():
+        raise InvalidInputError(f"weights must be another folder than out, got {job.saved}")
     from ..data.dataset import Dataset, generate
+    from ..data.demonstrations import Demonstrations
     from ..training.team import Team
 
+    data: Any = (Dataset if stage == "path" else Demonstrations).load(job.data)
+    config = data.config if stage == "path" else data.dataset
     team = Team.join(**vars(job.where))
-    if job.files.validation is not None:
-        return team, Dataset.load(job.files.validation)
+    if job.validation is not None:
+        return data, Dataset.load(job.validation), team
     if config.stream == "validation":
         raise InvalidInputError("the data are of the validation stream: give --validation DIR")
-    folder = job.files.out / "validation"
+    folder = job.out / "validation"
     with team.main_first():
-        if not team.main:
-            return team, Dataset.load(folder)
-        with progress_bar("shards for validation") as progress:
-            workers = vars(job.workers)
-            return team, generate(config.for_validation(), folder, **workers, progress=progress)
+        if team.main:
+            with progress_bar("shards for validation") as progress:
+                generate(config.for_validation(), folder, **vars(job.workers), progress=progress)
+        return data, Dataset.load(folder), team
 
 
 @contextmanager
@@ -207,51 +186,39 @@ def _run(job: Job, team: Team) -> Iterator[Run]:
     from ..training.loop import Run
 
     with progress_bar("steps") as progress:
-        yield Run(job.files.out, team, lambda *at: progress(*at[:2], _line(at[0], at[2])))
+        yield Run(job.out, team, lambda *at: progress(*at[:2], _line(at[0], at[2])))
     team.leave()
 
 
 def _line(step: int, metrics: dict[str, float]) -> str:
     """A line for a validation, empty between validations."""
-    names = ["loss", *(name for name in metrics if name.startswith("validation_"))]
-    if len(names) == 1:
-        return ""
-    values = (f"{n.removeprefix('validation_')} {number(metrics[n], 4)}" for n in names)
-    return "  ".join([f"step {step}", *values])
+    names = [name for name in metrics if name.startswith("validation_")]
+    shown = (f"{n.removeprefix('validation_')} {number(metrics[n], 4)}" for n in ["loss", *names])
+    return "  ".join([f"step {step}", *shown]) if names else ""
 
 
 def _save(
-    job: Job,
-    team: Team,
-    stage: str,
-    trained: Trained[Any],
-    validation: Dataset,
-    tuning: dict[str, Any] | None = None,
+    job: Job, team: Team, stage: str, trained: Trained[Any], validation: Dataset, **tuning: Any
 ) -> None:
     """Save the weights of a stage, write the JSON and print the last metrics."""
     if not team.main:
         return
     from ..models.pretrained import save_stage
 
-    files, record, metrics = job.files, trained.record, trained.metrics
-    save_stage(files.saved, stage, trained.model, record)
+    record, metrics = trained.record, trained.metrics
+    save_stage(job.saved, stage, trained.model, record)
     source = {"data", "digest", "demonstrations", "teacher", "training"}
     measured = {name: value for name, value in vars(record).items() if name not in source}
+    digests = {"data": record.digest, "validation": validation.digest}
     write_report(
-        files.json,
+        job.json,
         seed=record.training["seed"],
         config={"training": record.training, stage: trained.model.config.to_dict()},
-        model=model_record(str(files.saved)),
-        result={
-            "data": record.digest,
-            "validation": validation.digest,
-            **measured,
-            "last": metrics,
-            **(tuning or {}),
-        },
+        model=model_record(str(job.saved)),
+        result={**digests, **measured, "last": metrics, **tuning},
     )
     title = f"{record.parameters} parameters after {record.training['steps']} steps"
     rows = table(title, "metric", "last", text_columns=1)
     for name, value in metrics.items():
         rows.add_row(name, number(value, 0 if name in ("step", "seconds") else 4))
-    show(rows, f"weights: {files.saved}")
+    show(rows, f"weights: {job.saved}")

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from ..checks import Array, count
 from ..curves import NUM_WAYPOINTS, arc_length, path_curve
-from ..errors import DatasetError, InvalidInputError
+from ..errors import InvalidInputError
 from ..files import at_home
 from ..intent.metrics import SCORE_POINTS
 from ..motion.archive import Archive
@@ -34,11 +34,7 @@ _MANIFEST = "manifest.json"
 
 
 def paths_of(archive: Archive) -> Array:
-    """The archive's trajectories as paths: start, 8 waypoints at equal arc length, goal.
-
-    Returns:
-        `(N, K + 2, D)` [m].
-    """
+    """The trajectories as paths `(N, K + 2, D)` [m]: start, waypoints at equal arc length, goal."""
     return bezier_trajectories(archive.controls, NUM_WAYPOINTS + 2)
 
 
@@ -84,7 +80,7 @@ def select(
 
 
 def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
-    archive = config.source.archive(index, config.observer, config.cells)
+    archive = config.archive(index, config.observer, config.cells)
     scene = archive.scene
     rng = np.random.default_rng(stream_seed(config.stream, config.seed, index, "choice"))
     chosen = select(archive, config.per_scene, config.efficiency, rng)
@@ -125,9 +121,8 @@ def generate(
     Args:
         config: the settings.
         folder: of the dataset; made if it is missing.
-        workers: processes on this machine.
-        cluster: address of a Dask scheduler, whose workers work instead; `local` starts a cluster
-            of `workers` processes on this machine.
+        workers: processes on this machine, see `pool`.
+        cluster: address of a Dask scheduler, see `pool`.
         progress: called with the number of shards done and that of all.
 
     Raises:
@@ -137,13 +132,11 @@ def generate(
     """
     folder = at_home(folder)
 
-    def scenes(number: int) -> range:
-        return range(number * SHARD, min((number + 1) * SHARD, config.scenes))
-
     counts = {"scenes": config.scenes, "trajectories": config.scenes * config.per_scene}
     make_shards(
         folder, _MANIFEST, config.to_dict(), shard_names(config), partial(_shard, config), counts,
-        source=scenes, workers=workers, cluster=cluster, progress=progress,
+        source=lambda i: range(i * SHARD, min((i + 1) * SHARD, config.scenes)),
+        workers=workers, cluster=cluster, progress=progress,
     )  # fmt: skip
     return Dataset.load(folder)
 
@@ -182,14 +175,7 @@ class Dataset:
         Raises:
             DatasetError: it is missing, incomplete or changed since it was written.
         """
-        content, digest, table = read_shards(at_home(folder), _MANIFEST, "legibility data")
-        try:
-            config = DatasetConfig.from_dict(content)
-            if table.num_rows != config.scenes:
-                raise ValueError(f"{table.num_rows} rows for {config.scenes} scenes")
-            return cls.of_table(config, digest, table)
-        except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
-            raise DatasetError(f"{folder} has a manifest that does not fit its shards") from cause
+        return read_shards(at_home(folder), _MANIFEST, "legibility data", cls._of_table)
 
     def first(self, num: int) -> Dataset:
         """The first `num` scenes, the same as a dataset of `num` scenes.
@@ -201,22 +187,19 @@ class Dataset:
             raise InvalidInputError(f"the data have {len(self.scenes)} scenes, {num} are asked")
         if num == len(self.scenes):
             return self
+        arrays = ("scenes", "controls", "waypoints", "scores", "labels", "score_at_label")
         return Dataset(
             config=replace(self.config, scenes=num),
             digest=f"{self.digest}[:{num}]",
-            scenes=self.scenes[:num],
-            controls=self.controls[:num],
-            waypoints=self.waypoints[:num],
-            scores=self.scores[:num],
-            labels=self.labels[:num],
-            score_at_label=self.score_at_label[:num],
             summary={name: values[:num] for name, values in self.summary.items()},
+            **{name: getattr(self, name)[:num] for name in arrays},
         )
 
     @classmethod
-    def of_table(cls, config: DatasetConfig, digest: str, table: pa.Table) -> Dataset:
-        """The scenes of `table`, rows of this configuration's shards."""
-        dim, size, num = config.dim, table.num_rows, config.per_scene
+    def _of_table(cls, content: dict[str, Any], digest: str, table: pa.Table) -> Dataset:
+        """The dataset of a manifest's configuration, and the rows of its shards."""
+        config = DatasetConfig.from_dict(content)
+        dim, size, num = config.dim, config.scenes, config.per_scene
 
         def dense(name: str, *shape: int) -> np.ndarray:
             return flat(table[name]).reshape(size, *shape)

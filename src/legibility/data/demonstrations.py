@@ -5,29 +5,31 @@ They lie in the folder of their dataset, under the same rules, a row a demonstra
 
 from __future__ import annotations
 
-import io
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
+import pyarrow as pa
 
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS
 from ..envs import vector_type
 from ..envs.guard import safe_actions
-from ..errors import DatasetError, InvalidInputError
+from ..errors import InvalidInputError
 from ..motion.tracking import PathTracker, feedback_action
-from ..scene import DEFAULT_WORKSPACE
+from ..scene import DEFAULT_WORKSPACE, Scene
 from ..seeds import stream_seed
 from .configuration import DatasetConfig, DemonstrationsConfig
-from .dataset import Dataset, shard_names
+from .dataset import Dataset
 from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
 
 DEMONSTRATIONS = "demonstrations.json"
 """File name of the manifest, beside that of the dataset."""
+
+_Part = tuple[int, list[Scene], np.ndarray, np.ndarray]
+"""Some scenes of a dataset: the index of the first, and their scenes, waypoints and labels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,30 +70,31 @@ class Demonstrations:
         Raises:
             DatasetError: they are missing, incomplete or changed since they were written.
         """
-        content, digest, table = read_shards(
-            Path(folder), DEMONSTRATIONS, "legibility data --demonstrations"
-        )
-        try:
-            settings = {f.name: content[f.name] for f in fields(DemonstrationsConfig)}
-            dataset = DatasetConfig.from_dict(content["dataset"])
-            dim, limit = dataset.dim, content["limit"]
-            workspace = np.array(content["workspace"])
-            paths = flat(table["path"]).reshape(-1, NUM_WAYPOINTS + 2, dim).astype(np.float64)
-            lengths = np.array([len(row) for row in table["actions"]]) // dim
-            states = flat(table["states"]).reshape(-1, dim).astype(np.float64)
-            actions = flat(table["actions"]).reshape(-1, dim).astype(np.float64)
-        except (LookupError, TypeError, ValueError) as cause:
-            raise DatasetError(f"{folder} has a manifest that does not fit its shards") from cause
+        command = "legibility data --demonstrations"
+        return read_shards(Path(folder), DEMONSTRATIONS, command, cls._of_table)
+
+    @classmethod
+    def _of_table(cls, content: dict[str, Any], digest: str, table: pa.Table) -> Demonstrations:
+        """The demonstrations of a manifest's configuration, and the rows of their shards."""
+        dataset = DatasetConfig.from_dict(content["dataset"])
+
+        def points(name: str, *shape: int) -> Array:
+            return flat(table[name]).reshape(-1, *shape, dataset.dim).astype(np.float64)
+
+        ends = np.cumsum([len(row) // dataset.dim for row in table["actions"]])[:-1]
+        later = 1 + np.arange(len(ends))  # a motion has one state more than actions
         return cls(
-            config=DemonstrationsConfig(**settings),
+            config=DemonstrationsConfig(
+                **{f.name: content[f.name] for f in fields(DemonstrationsConfig)}
+            ),
             dataset=dataset,
             digest=digest,
-            workspace=workspace,
-            limit=limit,
-            paths=paths,
+            workspace=np.array(content["workspace"]),
+            limit=content["limit"],
+            paths=points("path", NUM_WAYPOINTS + 2),
             labels=table["label"].to_numpy().astype(np.float64),
-            states=np.split(states, np.cumsum(lengths + 1)[:-1]),
-            actions=np.split(actions, np.cumsum(lengths)[:-1]),
+            states=np.split(points("states"), ends + later),
+            actions=np.split(points("actions"), ends),
             pushed=table["pushed"].to_numpy(),
         )
 
@@ -119,78 +122,64 @@ def demonstrate(
         WorkerError: there are no workers, or they die again and again.
     """
     folder = Path(folder)
-    dataset, digest, _ = read_shards(folder, "manifest.json", "legibility data")
-    source = DatasetConfig.from_dict(dataset)
+    data = Dataset.load(folder)
+    source = data.config
     config = config.within(source)
     scenes = config.demonstrated or source.scenes
-    env = vector_type(None, source.dim)
     content = {
         **asdict(config),
         "dataset": source.to_dict(),
-        "digest": digest,
-        "limit": env.max_displacement,
+        "digest": data.digest,
+        "limit": vector_type(None, source.dim).max_displacement,
         "workspace": np.array(DEFAULT_WORKSPACE[source.dim]).tolist(),
     }
-    names_of_data = shard_names(source)
     names = [f"demonstrations-{i:05d}.parquet" for i in range(-(-scenes // SHARD))]
 
-    def first_scenes(number: int) -> tuple[int, int, bytes]:
-        first = number * SHARD
-        shard = (folder / names_of_data[number]).read_bytes()
-        return first, min(SHARD, scenes - first), shard
+    def part(number: int) -> _Part:
+        rows = slice(number * SHARD, min((number + 1) * SHARD, scenes))
+        return rows.start, data.scenes[rows], data.waypoints[rows], data.labels[rows]
 
     make_shards(
         folder, DEMONSTRATIONS, content, names, partial(_shard, source, config, content),
-        {"scenes": scenes}, source=first_scenes,
-        workers=workers, cluster=cluster, progress=progress,
+        {"scenes": scenes}, source=part, workers=workers, cluster=cluster, progress=progress,
     )  # fmt: skip
     return Demonstrations.load(folder)
 
 
 @np.errstate(under="ignore")
 def _shard(
-    source: DatasetConfig,
-    config: DemonstrationsConfig,
-    content: dict[str, Any],
-    first_scenes: tuple[int, int, bytes],
+    source: DatasetConfig, config: DemonstrationsConfig, content: dict[str, Any], part: _Part
 ) -> bytes:
-    """Demonstrations in the first scenes of a shard of the dataset.
-
-    Args:
-        source: settings of the dataset.
-        config: settings of the demonstrations.
-        content: of their manifest.
-        first_scenes: index of the shard's first scene, number of its scenes to use, and its bytes.
-    """
-    first, size, shard = first_scenes
-    part = Dataset.of_table(source, "", pq.read_table(io.BytesIO(shard)))
+    """Demonstrations in some scenes of the dataset `source`, `content` being their manifest's."""
+    first, scenes, inner, labels = part
+    size, number = len(scenes), config.demonstrations
     rngs = [
         np.random.default_rng(stream_seed(source.stream, source.seed, first + i, "demonstration"))
         for i in range(size)
     ]
     # Flat along ℓ, like the dataset: one path from each of equal parts of its levels.
-    edges = np.linspace(0, source.per_scene, config.demonstrations + 1)
+    edges = np.linspace(0, source.per_scene, number + 1)
     chosen = [np.floor(rng.uniform(edges[:-1], edges[1:])).astype(np.intp) for rng in rngs]
-    repeated = [part.scenes[i] for i in range(size) for _ in range(config.demonstrations)]
-    waypoints = np.concatenate([part.waypoints[i, chosen[i]] for i in range(size)])
-    labels = np.concatenate([part.labels[i, chosen[i]] for i in range(size)])
-    starts = np.stack([scene.start for scene in repeated])[:, None]
-    goals = np.stack([scene.goals[0] for scene in repeated])[:, None]
-    paths = np.concatenate([starts, waypoints, goals], axis=1)
-    pushed = np.concatenate([rng.random(config.demonstrations) < config.pushed for rng in rngs])
-    seeds = [int(s) for rng in rngs for s in rng.integers(2**62, size=config.demonstrations)]
+    paths = np.concatenate([
+        [np.concatenate([scenes[i].start[None], inner[i, j], scenes[i].goals[:1]]) for j in row]
+        for i, row in enumerate(chosen)
+    ])  # fmt: skip
+    labels = np.take_along_axis(labels, np.stack(chosen), axis=1).ravel()
+    pushed = np.concatenate([rng.random(number) < config.pushed for rng in rngs])
+    seeds = [int(s) for rng in rngs for s in rng.integers(2**62, size=number)]
+    repeated = [scene for scene in scenes for _ in range(number)]
 
-    states, actions, success = _roll(config, repeated, paths, pushed, seeds)
+    motions, success = _roll(config, repeated, paths, pushed, seeds)
     rows = [
         {
-            "scene": first + i // config.demonstrations,
+            "scene": first + i // number,
             "label": np.float32(labels[i]),
             "path": paths[i].astype(np.float32).ravel(),
             "pushed": bool(pushed[i]),
-            "states": states[i].astype(np.float32).ravel(),
-            "actions": actions[i].astype(np.float32).ravel(),
+            "states": states.astype(np.float32).ravel(),
+            "actions": actions.astype(np.float32).ravel(),
         }
-        for i in range(len(paths))
+        for i, (states, actions) in enumerate(motions)
         if success[i]
     ]
     if not rows:
@@ -203,12 +192,12 @@ def _shard(
 
 def _roll(
     config: DemonstrationsConfig,
-    scenes: list[Any],
+    scenes: list[Scene],
     paths: Array,
     pushed: np.ndarray,
     seeds: list[int],
-) -> tuple[list[Array], list[Array], np.ndarray]:
-    """States and actions of the controller on `paths`, and whether it reached each goal."""
+) -> tuple[list[tuple[Array, Array]], np.ndarray]:
+    """States and actions of the controller on `paths`, and whether it reached the goals."""
     env = vector_type(None, scenes[0].dim)(len(paths))
     assert config.push is not None
     options = {"scene": scenes, "noise": config.noise, "push": (config.push * pushed).tolist()}
@@ -230,5 +219,4 @@ def _roll(
         states.append(positions)
         actions.append(sent)
     motions = zip(np.stack(states, 1), np.stack(actions, 1), lengths, strict=True)
-    cut = [(s[: n + 1], a[:n]) for s, a, n in motions]
-    return [s for s, _ in cut], [a for _, a in cut], success
+    return [(s[: n + 1], a[:n]) for s, a, n in motions], success

@@ -11,7 +11,7 @@ import io
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -25,6 +25,7 @@ SHARD = 64
 """Scenes in a shard."""
 
 ShardProgress = Callable[[int, int], None]
+T = TypeVar("T")
 
 _FORMAT = 1
 _CONFIG = b"legibility.config"
@@ -69,21 +70,20 @@ def make_shards(
 
     Raises:
         DatasetError: the folder holds shards of another configuration.
-        OutputError: the folder cannot be written.
-        WorkerError: there are no workers, or they die again and again.
+        OutputError, WorkerError: see `pool` and `write_bytes`.
     """
     if (folder / manifest).exists():
-        old = read_manifest(folder, manifest)
+        old = _read_manifest(folder, manifest)
         if old["config"] != config:
             raise DatasetError(
                 f"{folder} holds a dataset of another configuration; choose another folder"
             )
         if old["complete"]:
-            changed = [s["name"] for s in old["shards"] if not _is_intact(folder, s)]
+            changed = _changed(folder, old["shards"])
             if not changed:
                 return
-            for name in changed:
-                (folder / name).unlink(missing_ok=True)
+            for path in changed:
+                path.unlink(missing_ok=True)
     content = {"format": _FORMAT, "config": config, "complete": False}
     with pool(workers, cluster) as run:
         write_json(folder / manifest, content)
@@ -100,34 +100,32 @@ def make_shards(
     write_json(folder / manifest, {**content, "complete": True, "counts": counts, "shards": shards})
 
 
-def read_shards(folder: Path, manifest: str, again: str) -> tuple[dict[str, Any], str, pa.Table]:
-    """The configuration, the digest over all shards, and their rows; every hash is checked.
+def read_shards(
+    folder: Path, manifest: str, again: str, build: Callable[[dict[str, Any], str, pa.Table], T]
+) -> T:
+    """Build an object of the configuration, the digest over all shards, and their rows.
 
     Args:
-        folder: of the shards.
+        folder: of the shards, every hash of which is checked.
         manifest: its file name.
         again: the command that completes the shards.
+        build: from the three to the object; its errors mean that they do not fit together.
 
     Raises:
-        DatasetError: it is missing, incomplete or changed since it was written.
+        DatasetError: the shards are missing, incomplete or changed since they were written.
     """
-    content = read_manifest(folder, manifest)
+    content = _read_manifest(folder, manifest)
     if not content["complete"]:
         raise DatasetError(f"{folder} is not complete; run the same `{again}` again")
     try:
-        tables, digest = [], hashlib.sha256()
-        for shard in content["shards"]:
-            path = folder / shard["name"]
-            if not path.exists() or file_hash(path) != shard["sha256"]:
-                raise DatasetError(f"{path} is missing or not as it was written")
-            digest.update(shard["sha256"].encode())
-            tables.append(pq.read_table(path))
-        table = pa.concat_tables(tables).combine_chunks()
-    except DatasetError:
-        raise
+        shards = content["shards"]
+        for path in _changed(folder, shards):
+            raise DatasetError(f"{path} is missing or not as it was written")
+        digest = hashlib.sha256("".join(shard["sha256"] for shard in shards).encode())
+        table = pa.concat_tables([pq.read_table(folder / shard["name"]) for shard in shards])
+        return build(content["config"], digest.hexdigest(), table.combine_chunks())
     except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
         raise DatasetError(f"{folder} has a manifest that does not fit its shards") from cause
-    return content["config"], digest.hexdigest(), table
 
 
 def flat(column: pa.ChunkedArray) -> np.ndarray:
@@ -135,19 +133,16 @@ def flat(column: pa.ChunkedArray) -> np.ndarray:
     return column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
 
 
-def read_manifest(folder: Path, manifest: str) -> dict[str, Any]:
+def _read_manifest(folder: Path, manifest: str) -> dict[str, Any]:
     """The manifest, checked for its form."""
     text = read_text(folder / manifest, "dataset manifest", DatasetError)
     try:
         content = json.loads(text)
-        if not {"config", "complete"} <= content.keys():
-            raise ValueError("config or complete is missing")
-    except (ValueError, AttributeError) as cause:
-        raise DatasetError(f"{folder / manifest} is not a dataset manifest: {cause}") from cause
-    if content.get("format") != _FORMAT:
-        raise DatasetError(
-            f"{folder} has format {content.get('format')}; this version reads {_FORMAT}"
-        )
+        written, _, _ = (content[key] for key in ("format", "config", "complete"))
+    except (LookupError, TypeError, ValueError) as cause:
+        raise DatasetError(f"{folder / manifest} is not a dataset manifest: {cause!r}") from cause
+    if written != _FORMAT:
+        raise DatasetError(f"{folder} has format {written}; this version reads {_FORMAT}")
     return content
 
 
@@ -155,10 +150,10 @@ def _canonical(config: dict[str, Any]) -> bytes:
     return json.dumps(config, sort_keys=True).encode()
 
 
-def _is_intact(folder: Path, shard: dict[str, str]) -> bool:
-    """Whether a shard has the hash of the manifest."""
-    path = folder / shard["name"]
-    return path.is_file() and file_hash(path) == shard["sha256"]
+def _changed(folder: Path, shards: Sequence[dict[str, str]]) -> list[Path]:
+    """The shards of a manifest that are missing or have another hash."""
+    hashes = {folder / shard["name"]: shard["sha256"] for shard in shards}
+    return [path for path, old in hashes.items() if not path.is_file() or file_hash(path) != old]
 
 
 def _is_whole(path: Path, config: dict[str, Any]) -> bool:

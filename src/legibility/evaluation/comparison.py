@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checks import Array
 from ..curves import arc_length, resample, spaced
-from ..data.scenes import SceneStream
+from ..data.configuration import SceneStream
 from ..envs import vector_type
 from ..errors import InvalidInputError
 from ..intent.metrics import (

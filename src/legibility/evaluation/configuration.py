@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..checks import bounded, count, random_seed
-from ..data.scenes import SceneStream
+from ..data.configuration import SceneStream
 from ..errors import InvalidInputError
 
 

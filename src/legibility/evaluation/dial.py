@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import Array
 from ..curves import arc_length, turning
-from ..data.scenes import SceneStream
+from ..data.configuration import SceneStream
 from ..envs import vector_type
 from ..modulator import Modulator
 from ..motion.path import Path

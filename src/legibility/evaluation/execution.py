@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array
-from ..data.scenes import SceneStream
+from ..data.configuration import SceneStream
 from ..drivers import Driver, Feedback, Policy, Replay
 from ..envs import vector_type
 from ..envs.block_reach import BlockReachVector

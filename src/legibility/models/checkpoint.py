@@ -41,12 +41,19 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], Any]:
 
 
 def load_state(module: nn.Module, tensors: Mapping[str, Tensor], source: str | Path) -> None:
-    """Load `tensors` into `module`, which must have the same names and shapes; all are finite.
+    """Copy `tensors` into the state of `module`; see `copy_tensors`."""
+    copy_tensors(module.state_dict(), tensors, source)
+
+
+@torch.no_grad()
+def copy_tensors(
+    state: Mapping[str, Tensor], tensors: Mapping[str, Tensor], source: str | Path
+) -> None:
+    """Copy `tensors` into those of `state`: the same names and shapes, all numbers finite.
 
     Raises:
         CheckpointError: they differ or are not finite; the message names the first difference.
     """
-    state = module.state_dict()
     missing, unknown = sorted(set(state) - set(tensors)), sorted(set(tensors) - set(state))
     if missing or unknown:
         raise CheckpointError(f"{source}: missing tensors {missing[:3]}, unknown {unknown[:3]}")
@@ -58,4 +65,5 @@ def load_state(module: nn.Module, tensors: Mapping[str, Tensor], source: str | P
             )
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
             raise CheckpointError(f"{source}: {name} is not finite")
-    module.load_state_dict(dict(tensors), strict=True)
+    for name, tensor in tensors.items():
+        state[name].copy_(tensor)

@@ -51,7 +51,7 @@ class TrainingRecord(Source):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, without those that do not apply."""
-        return asdict(self, dict_factory=_without_none)
+        return asdict(self, dict_factory=lambda items: {k: v for k, v in items if v is not None})
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> TrainingRecord:
@@ -61,9 +61,8 @@ class TrainingRecord(Source):
             TypeError: a key is missing or unknown.
         """
         if teacher := content.get("teacher"):
-            if training := teacher.get("training"):
-                teacher = {**teacher, "training": cls.from_dict(training)}
-            content = {**content, "teacher": TeacherRecord(**teacher)}
+            training = teacher.get("training") and cls.from_dict(teacher["training"])
+            content = {**content, "teacher": TeacherRecord(**{**teacher, "training": training})}
         return cls(**content)
 
 
@@ -82,7 +81,3 @@ class TeacherRecord:
     sampling_steps: int
     guidance: float
     training: TrainingRecord | None = None
-
-
-def _without_none(items: list[tuple[str, Any]]) -> dict[str, Any]:
-    return {name: value for name, value in items if value is not None}

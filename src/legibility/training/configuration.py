@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 
 from ..checks import bounded, count, positive, random_seed
 from ..errors import InvalidInputError
 
 FIXED_BY_DATA = ("dim", "observer")
 """Settings of stage 1 that follow from its data."""
+
+
+def _share(name: str, value: float) -> None:
+    if bounded(name, value, 0, 1) == 1:
+        raise InvalidInputError(f"{name} must lie in [0, 1), got {value}")
+
+
+_WEIGHTS = ("weight_decay", "score_weight", "wall_weight", "jerk_weight")
+_CHECKS = {
+    "seed": random_seed,
+    "warmup": partial(count, low=0),
+    "learning_rate": positive,
+    **dict.fromkeys(_WEIGHTS, partial(bounded, low=0)),
+    **dict.fromkeys(("dropout", "ema", "ends"), _share),
+}
+"""The checks of settings by name; all others are counts of at least 1."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +56,8 @@ class TrainingConfig:
     checkpoint_every: int = 500
 
     def __post_init__(self) -> None:
-        for name in ("steps", "validate_every", "checkpoint_every"):
-            count(name, getattr(self, name))
-        random_seed("seed", self.seed)
-        count("warmup", self.warmup, low=0)
-        positive("learning_rate", self.learning_rate)
-        bounded("weight_decay", self.weight_decay, 0)
-        for name in ("dropout", "ema"):
-            if bounded(name, getattr(self, name), 0, 1) == 1:
-                raise InvalidInputError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
+        for field in fields(self):
+            _CHECKS.get(field.name, count)(field.name, getattr(self, field.name))
 
 
 @dataclass(frozen=True)
@@ -66,13 +76,6 @@ class PathTrainingConfig(TrainingConfig):
     per_scene: int = 8
     score_weight: float = 5.0
     wall_weight: float = 20.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count("scenes", self.scenes)
-        count("per_scene", self.per_scene)
-        bounded("score_weight", self.score_weight, 0)
-        bounded("wall_weight", self.wall_weight, 0)
 
 
 @dataclass(frozen=True)
@@ -100,11 +103,6 @@ class DistillationConfig(PathTrainingConfig):
             raise InvalidInputError(
                 f"dropout must be 0, as a student always has its conditions, got {self.dropout}"
             )
-        count("sampling_steps", self.sampling_steps)
-        count("pairs", self.pairs)
-        bounded("jerk_weight", self.jerk_weight, 0)
-        if bounded("ends", self.ends, 0, 1) == 1:
-            raise InvalidInputError(f"ends must lie in [0, 1), got {self.ends}")
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,3 @@ class PolicyTrainingConfig(TrainingConfig):
 
     steps: int = 8000
     batch: int = 1024
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count("batch", self.batch)

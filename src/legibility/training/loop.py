@@ -8,9 +8,11 @@ the steps of one.
 
 from __future__ import annotations
 
+import copy
+import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -20,15 +22,17 @@ import torch
 from torch import Tensor, nn
 
 from ..errors import CheckpointError, TrainingError
+from ..files import write_bytes
+from ..models.checkpoint import copy_tensors, load_tensors, save_tensors
 from ..models.diffusion import noise_schedule
 from ..models.provenance import Source, TrainingRecord
 from .configuration import TrainingConfig
-from .state import State
 from .team import Team
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
 
+_FORMAT = 1
 _LOG_EVERY = 50
 _INTERVALS = ("validate_every", "checkpoint_every")
 """Settings that do not change the weights, so a resumed run may have others."""
@@ -104,26 +108,30 @@ def train(
         CheckpointError: the folder's checkpoint is corrupted or of another run.
         TrainingError: the loss is not finite.
     """
-    team, checkpoint = run.team, run.folder / CHECKPOINT
+    team, checkpoint, log = run.team, run.folder / CHECKPOINT, run.folder / LOG
     settings = _settings(model, config, team, source)
-    state = State(model, config)
+    state = _State(model, config, team)
     if team.main:
         for leftover in run.folder.glob(".*.safetensors"):  # of a run that was killed
             leftover.unlink()
     if checkpoint.exists():
         state.restore(checkpoint, settings)
-    _check_same_step(state.step, team, checkpoint)
+    mean = float(team.mean([torch.tensor(float(state.step), device=team.device)])[0])
+    if mean != state.step:
+        raise CheckpointError(
+            f"not all processes see the same {checkpoint}: "
+            f"it is at step {state.step} here, at {mean:g} in the mean"
+        )
+    board = None
     if team.main:
-        state.log.write(run.folder / LOG)
-    board = _tensorboard(run.folder, state.step) if team.main else None
-    scaler, generator = team.scaler(), torch.Generator()
+        state.write_log(log)
+        board = _tensorboard(run.folder, state.step)
     started = time.perf_counter() - state.seconds
     model.train()
     try:
-        for step in range(state.step, config.steps):
-            generator.manual_seed(_mix(config.seed, step))
-            parts = _take_step(state, loss, generator, config, team, scaler)
-            state.step, state.seconds = step + 1, time.perf_counter() - started
+        while state.step < config.steps:
+            parts = state.advance(loss)
+            state.seconds = time.perf_counter() - started
             last = state.step == config.steps
             validates = last or state.step % config.validate_every == 0
             saves = last or state.step % config.checkpoint_every == 0
@@ -140,57 +148,106 @@ def train(
                 metrics |= validate(state.average)
             if metrics:
                 times = {"step": state.step, "seconds": round(state.seconds, 3)}
-                state.log.rows.append(times | metrics)
+                state.rows.append(times | metrics)
             if not team.main:
                 continue
             if metrics:
-                state.log.write(run.folder / LOG)
-                if board:
-                    for name, value in metrics.items():
-                        board.add_scalar(name, value, state.step)
+                state.write_log(log)
+            if board:
+                for name, value in metrics.items():
+                    board.add_scalar(name, value, state.step)
             run.progress(state.step, config.steps, metrics)
             if saves:
                 state.save(checkpoint, settings)
     finally:
         if board:
             board.close()
-    return Trained(state.average.to("cpu"), _record(state, config, team, source), state.log.last)
+    metrics = {name: value for row in state.rows for name, value in row.items()}
+    return Trained(state.average.to("cpu"), _record(state, source), metrics)
 
 
-def _take_step(
-    state: State[M],
-    loss: Loss[M],
-    generator: torch.Generator,
-    config: TrainingConfig,
-    team: Team,
-    scaler: torch.amp.GradScaler,
-) -> dict[str, Tensor]:
-    """Take one step of the optimiser and of the average; the loss and its parts."""
-    optimizer, parameters = state.optimizer, state.parameters
-    for group in optimizer.param_groups:
-        group["lr"] = config.learning_rate * _schedule(state.step, config)
-    value, parts = loss(state.model, generator)
-    optimizer.zero_grad(set_to_none=True)
-    scaler.scale(value).backward()
-    if team.size > 1:
-        gradients = [p.grad for p in parameters if p.grad is not None]
-        for gradient, mean in zip(gradients, team.mean(gradients), strict=True):
-            gradient.copy_(mean)
-    scaler.unscale_(optimizer)
-    nn.utils.clip_grad_norm_(parameters, 1.0)
-    scaler.step(optimizer)
-    scaler.update()
-    state.update_average(min(config.ema, (1 + state.step) / (10 + state.step)))  # faster at first
-    return {"loss": value.detach(), **parts}
+class _State(Generic[M]):
+    """Everything from which a training goes on bit for bit.
 
+    The rows of the log are part of it, so `log.jsonl` never disagrees with the checkpoint.
+    """
 
-def _check_same_step(step: int, team: Team, checkpoint: Path) -> None:
-    mean = float(team.mean([torch.tensor(float(step), device=team.device)])[0])
-    if mean != step:
-        raise CheckpointError(
-            f"not all processes see the same {checkpoint}: "
-            f"it is at step {step} here, at {mean:g} in the mean"
+    def __init__(self, model: M, config: TrainingConfig, team: Team) -> None:
+        self.model, self.config, self.team = model, config, team
+        self.average = copy.deepcopy(model).requires_grad_(False).eval()
+        self.parameters = [p for p in model.parameters() if p.requires_grad]
+        self.optimizer = torch.optim.AdamW(
+            self.parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
         )
+        for p in self.parameters:  # the moments, there from the start so that they can be restored
+            moments = {"exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
+            self.optimizer.state[p] = {"step": torch.zeros((), device=p.device), **moments}
+        self.generator = torch.Generator()
+        self.step, self.seconds = 0, 0.0
+        self.rows: list[dict[str, float]] = []
+
+    def advance(self, loss: Loss[M]) -> dict[str, Tensor]:
+        """Take one step of the optimiser and of the average; the loss and its parts."""
+        mixed = np.random.SeedSequence([self.config.seed, self.step]).generate_state(1, np.uint64)
+        self.generator.manual_seed(int(mixed[0] >> 1))
+        (group,) = self.optimizer.param_groups
+        group["lr"] = self.config.learning_rate * _schedule(self.step, self.config)
+        value, parts = loss(self.model, self.generator)
+        self.optimizer.zero_grad(set_to_none=True)
+        value.backward()
+        if self.team.size > 1:
+            gradients = [p.grad for p in self.parameters if p.grad is not None]
+            for gradient, mean in zip(gradients, self.team.mean(gradients), strict=True):
+                gradient.copy_(mean)
+        nn.utils.clip_grad_norm_(self.parameters, 1.0)
+        self.optimizer.step()
+        decay = min(self.config.ema, (1 + self.step) / (10 + self.step))  # faster at first
+        with torch.no_grad():
+            for old, new in zip(self.average.parameters(), self.model.parameters(), strict=True):
+                old.lerp_(new, 1 - decay)
+        self.step += 1
+        return {"loss": value.detach(), **parts}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The tensors of the networks and the optimiser, by the names of the checkpoint."""
+        tensors = {f"model.{k}": v for k, v in self.model.state_dict().items()}
+        tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
+        for index, parameter in enumerate(self.parameters):
+            moments = self.optimizer.state[parameter]
+            tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
+        return tensors
+
+    def write_log(self, path: Path) -> None:
+        """Write the log as JSON lines."""
+        write_bytes(path, "".join(json.dumps(row) + "\n" for row in self.rows).encode())
+
+    def save(self, path: Path, settings: dict[str, Any]) -> None:
+        """Write a checkpoint of a training of `settings`, plain values that fix its weights."""
+        header = {"settings": settings, "step": self.step, "seconds": self.seconds}
+        save_tensors(path, self.tensors(), {**header, "log": self.rows})
+
+    def restore(self, path: Path, settings: dict[str, Any]) -> None:
+        """Go on from the checkpoint at `path`, which must be of the same settings."""
+        tensors, header = load_tensors(path)
+        try:
+            self.step, self.seconds = int(header["step"]), float(header["seconds"])
+            self.rows = [dict(row) for row in header["log"]]
+            changes = list(_differences(header["settings"], json.loads(json.dumps(settings))))
+        except (AttributeError, LookupError, TypeError, ValueError) as cause:
+            raise CheckpointError(f"{path} is not a training checkpoint") from cause
+        if changes:
+            raise CheckpointError(f"{path} is of another run: {'; '.join(changes[:3])}")
+        copy_tensors(self.tensors(), tensors, path)
+
+
+def _differences(kept: dict[str, Any], now: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    """The settings of a checkpoint that are not those of `now`, with both values."""
+    for name in {**now, **kept}:
+        old, new = kept.get(name), now.get(name)
+        if isinstance(old, dict) and isinstance(new, dict):
+            yield from _differences(old, new, f"{prefix}{name}.")
+        elif old != new:
+            yield f"{prefix}{name} is {old!r} in the checkpoint and {new!r} now"
 
 
 def _settings(
@@ -198,22 +255,27 @@ def _settings(
 ) -> dict[str, Any]:
     """The settings that fix the weights, which a resumed run must repeat."""
     network: Any = model.config
-    settings: dict[str, Any] = {"model": network.to_dict(), "data": {"sha256": source.digest}}
-    if source.teacher:
-        settings["teacher"] = {k: v for k, v in vars(source.teacher).items() if k != "training"}
-    settings["training"] = {k: v for k, v in asdict(config).items() if k not in _INTERVALS}
-    return {**settings, "precision": team.precision}
+    teacher = source.teacher and {**vars(source.teacher), "training": None}
+    return {
+        "format": _FORMAT,
+        "model": network.to_dict(),
+        "data": {"sha256": source.digest},
+        "teacher": teacher,
+        "training": {k: v for k, v in asdict(config).items() if k not in _INTERVALS},
+        "precision": team.precision,
+    }
 
 
-def _record(
-    state: State[Any], config: TrainingConfig, team: Team, source: Source
-) -> TrainingRecord:
+def _record(state: _State[Any], source: Source) -> TrainingRecord:
+    times = np.array([[row["step"], row["seconds"]] for row in state.rows])
+    steps, seconds = np.diff(times, axis=0, prepend=np.zeros((1, 2))).T
+    team = state.team
     return TrainingRecord(
         **vars(source),
-        training=asdict(config),
+        training=asdict(state.config),
         parameters=sum(p.numel() for p in state.model.parameters()),
         seconds=round(state.seconds, 3),
-        step_seconds=state.log.step_seconds,
+        step_seconds=float(np.quantile(seconds / steps, 0.1)),
         device=str(team.device),
         processes=team.size,
         precision=team.precision,
@@ -229,11 +291,6 @@ def _tensorboard(folder: Path, step: int) -> Any:
     except ImportError:
         return None
     return SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
-
-
-def _mix(seed: int, step: int) -> int:
-    """One number from two, without patterns from step to step."""
-    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1)
 
 
 def _schedule(step: int, config: TrainingConfig) -> float:

@@ -1,7 +1,16 @@
-"""Training of stage 1: its batches, its loss, and the dial on validation scenes."""
+"""Training of stage 1, a teacher or its student, and the dial on validation scenes.
+
+A student draws in one step what its teacher draws in many, guided. Guidance and steps are distilled
+together (Luhman & Luhman 2021; Meng et al. 2023): the student learns to map the same noise to the
+same path. One step yields the final path, so its achieved label is a second loss, which makes the
+dial more exact. On its own that loss would reach ℓ = ±1 by waves, so jerk beyond the teacher's
+costs too.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +23,17 @@ from ..data.dataset import LABEL_KNOTS, Dataset
 from ..errors import InvalidInputError
 from ..intent.metrics import SCORE_POINTS
 from ..models.configuration import PathDiffuserConfig
-from ..models.diffusion import noised
+from ..models.diffusion import noised, sampling_timesteps
 from ..models.frame import Frame
 from ..models.path_diffuser import Conditions, PathDiffuser
-from ..models.provenance import Source
-from .configuration import FIXED_BY_DATA, PathTrainingConfig
+from ..models.provenance import Source, TeacherRecord
+from .configuration import FIXED_BY_DATA, DistillationConfig, PathTrainingConfig
 from .loop import Run, Trained, new_model, train
 from .team import Team
 
+_AT_ONCE = 16  # scenes for which a teacher draws at a time
 _LEAST_COST = 1e-30
+_SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
 
 
 class PathBatches:
@@ -31,18 +42,13 @@ class PathBatches:
     def __init__(
         self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, team: Team
     ) -> None:
-        team.shared("scenes", config.scenes)
-        self.config = config
-        self.team = team
-        device = team.device
-        scenes = data.scenes
-        self.conditions = model.conditions(scenes, [0] * len(scenes)).map(lambda x: x.to(device))
-        frames = [Frame.of(scene, 0) for scene in scenes]
-        waypoints = np.stack(
-            [f.world_to_frame(w) for f, w in zip(frames, data.waypoints, strict=True)]
-        )
-        self.waypoints = torch.from_numpy(waypoints.astype(np.float32)).to(device)
-        self.labels = torch.tensor(data.labels, device=device)
+        self.config, self.team = config, team
+        conditions = model.conditions(data.scenes, [0] * len(data.scenes))
+        self.conditions = conditions.map(lambda x: x.to(team.device))
+        motions = zip(data.scenes, data.waypoints, strict=True)
+        waypoints = np.stack([Frame.of(s, 0).world_to_frame(w) for s, w in motions])
+        self.waypoints = torch.from_numpy(waypoints.astype(np.float32)).to(team.device)
+        self.labels = torch.tensor(data.labels, device=team.device)
         self.scorer = FrameScorer(data, self.conditions)
 
     def loss(
@@ -101,6 +107,89 @@ class PathBatches:
         return (model.to_latent(self.waypoints) * model.spread).square().mean((0, 1)).sqrt()
 
 
+class DistillationBatches(PathBatches):
+    """The teacher's paths in every scene of the dataset, and the loss of the student."""
+
+    config: DistillationConfig
+
+    def __init__(
+        self,
+        data: Dataset,
+        teacher: PathDiffuser,
+        config: DistillationConfig,
+        team: Team,
+        drawn: Callable[[int, int], None] = lambda done, total: None,
+    ) -> None:
+        super().__init__(data, teacher, config, team)
+        self.teacher = teacher
+        self.drawn = drawn
+        self.noise = torch.empty(0)
+
+    def draw(self) -> None:
+        """Let the teacher draw the paths that the student learns, from noise and for labels."""
+        num, pairs, device = len(self.labels), self.config.pairs, self.team.device
+        generator = torch.Generator().manual_seed(self.config.seed)
+        report = self.drawn if self.team.main else lambda done, total: None
+        shape = (num, pairs, *self.waypoints.shape[2:])
+        spread = (torch.arange(pairs) + torch.rand(num, pairs, generator=generator)) / pairs
+        levels = ((2 * spread - 1) / (1 - self.config.ends)).clamp(-1, 1)
+        self.labels = levels.to(device)
+        noise = torch.randn(shape, generator=generator).to(device)
+        self.waypoints = torch.empty(shape, device=device)
+        before = self.teacher.spread.device
+        self.teacher.to(device)
+        for scenes in torch.arange(num, device=device).split(_AT_ONCE):
+            report(int(scenes[0]), num)
+            rows = scenes.repeat_interleave(pairs)
+            conditions = self.conditions.map(lambda x, rows=rows: x[rows])
+            levels, drawn = self.labels[scenes].flatten(), noise[scenes].flatten(0, 1)
+            paths = self.teacher.sample(conditions, levels, drawn)
+            self.waypoints[scenes] = paths.unflatten(0, (-1, pairs))
+        self.teacher.to(before)
+        report(num, num)
+        self.noise = noise
+
+    def loss(
+        self, model: PathDiffuser, generator: torch.Generator
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Squared distance from the teacher's paths, plus losses on label, walls and jerk."""
+        if not len(self.noise):
+            self.draw()
+        config, per = self.config, self.config.per_scene
+        scenes = torch.randint(len(self.labels), (config.scenes,), generator=generator)
+        chosen = torch.randint(self.labels.shape[1], (config.scenes, per), generator=generator)
+        scenes, chosen = (self.team.share(x).to(self.team.device) for x in (scenes, chosen))
+        each, chosen = scenes.repeat_interleave(per), chosen.flatten()
+        level, noise = self.labels[each, chosen], self.noise[each, chosen]
+        conditions = self.conditions.without_image().map(lambda x: x[each])
+        times = sampling_timesteps(len(model.signal), config.sampling_steps)
+        with self.team.autocast():
+            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]))
+            context = model.encode(scene.repeat_interleave(per, 0), level)
+            found = model.denoise(conditions, context, noise, times)
+        found = found.float()
+        taught = self.waypoints[each, chosen]
+        path_loss = F.mse_loss(model.to_latent(found), model.to_latent(taught))
+        points = self.scorer.curve(found)
+        achieved = self.scorer.label(conditions, each, points)
+        # Labels end at ±1, scores go beyond: at the ends only a path that falls short is wrong.
+        beyond = (level.abs() == 1) & (achieved * level > 1)
+        label_loss = F.smooth_l1_loss(torch.where(beyond, level, achieved), level, beta=0.1)
+        wall_loss = F.relu(-conditions.wall_distance(points)).mean()
+        jerk_loss = F.relu((self._jerk(found) / self._jerk(taught)).log()).mean()
+        total = path_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
+        total = total + config.jerk_weight * jerk_loss
+        parts = {"path": path_loss, "label": label_loss, "wall": wall_loss, "jerk": jerk_loss}
+        return total, {name: part.detach() for name, part in parts.items()}
+
+    def _jerk(self, waypoints: Tensor) -> Tensor:
+        """`(B,)`: squared third differences along paths of waypoints `(B, K, D)`, plus `_SMOOTH`.
+
+        In squared lengths of the straight line.
+        """
+        return self.scorer.path(waypoints).diff(n=3, dim=1).square().sum((1, 2)) + _SMOOTH
+
+
 class FrameScorer:
     """`L_p` (paper, eq. 4) and its label in PyTorch, differentiable, in the start–target frame."""
 
@@ -141,12 +230,9 @@ class FrameScorer:
         return -total / ((decay[:, 1:] + decay[:, :-1]) * width).sum(1)
 
     def label(self, conditions: Conditions, scenes: Tensor, points: Tensor) -> Tensor:
-        """The achieved label `(B,)`, extrapolated beyond ±1 so that its gradient never vanishes.
+        """The achieved label `(B,)` of curves `(B, T, D)` in the `scenes (B,)` of the data.
 
-        Args:
-            conditions: of the `B` scenes.
-            scenes: their indices `(B,)` in the data.
-            points: `(B, T, D)`, curves in their start–target frames.
+        It is extrapolated beyond ±1 so that its gradient never vanishes.
         """
         score = -torch.log((-self.score(conditions, points)).clamp_min(_LEAST_COST))
         knots = self.knots[scenes]
@@ -190,12 +276,53 @@ def train_path(
     return train(model, batches.loss, lambda m: validate_dial(m, checks), config, run, source)
 
 
-def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -> None:
-    """Check that both datasets have the dimension and the observer of a model of `config`.
+def distill_path(
+    teacher: PathDiffuser,
+    data: Dataset,
+    validation: Dataset,
+    run: Run,
+    config: DistillationConfig,
+    record: TeacherRecord,
+    *,
+    drawn: Callable[[int, int], None] = lambda done, total: None,
+) -> Trained[PathDiffuser]:
+    """Train a student of `teacher`, a stage 1 of fewer sampling steps and without guidance.
+
+    Args:
+        teacher: a trained stage 1.
+        data: of the teacher's labels; the student learns in its scenes.
+        validation: of another seed stream; its scenes measure the dial during training.
+        run: where to train; a resumed run lets the teacher draw again.
+        config: how to train.
+        record: of the teacher.
+        drawn: called with the number of scenes for which the teacher has drawn, and that of all.
 
     Raises:
-        InvalidInputError: they do not.
+        InvalidInputError: the data are of another observer than the teacher, or the student has
+            more sampling steps than diffusion has.
+        CheckpointError: see `train`.
     """
+    if config.sampling_steps > teacher.config.diffusion_steps:
+        raise InvalidInputError(
+            f"sampling_steps must be at most {teacher.config.diffusion_steps}, "
+            f"got {config.sampling_steps}"
+        )
+    check_data(teacher.config, data, validation)
+    settings = replace(
+        teacher.config, sampling_steps=config.sampling_steps, guidance=0.0, distilled=True
+    )
+    student = PathDiffuser(settings).to(run.team.device)
+    student.load_state_dict(teacher.state_dict())
+    student.no_level.requires_grad_(False)  # a student always has its conditions
+    student.no_field.requires_grad_(not settings.field)
+    batches = DistillationBatches(data, teacher, config, run.team, drawn)
+    checks = PathBatches(validation, student, config, run.team)
+    source = Source(data.config.to_dict(), data.digest, teacher=record)
+    return train(student, batches.loss, lambda m: validate_dial(m, checks), config, run, source)
+
+
+def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -> None:
+    """Raise unless both datasets have the dimension and the observer of a model of `config`."""
     for name, dataset in (("data", data), ("validation data", validation)):
         settings = {"dim": dataset.config.dim, **vars(dataset.config.observer)}
         for key, value in {"dim": config.dim, **vars(config.observer)}.items():
@@ -210,17 +337,17 @@ def validate_dial(
     """The dial on validation scenes: rank and error of the achieved label, curves inside."""
     from scipy.stats import spearmanr
 
-    scenes = torch.arange(len(checks.labels), device=checks.team.device)
-    asked = torch.linspace(-1, 1, levels, device=checks.team.device).repeat_interleave(samples)
-    shape = (len(scenes), len(asked), *checks.waypoints.shape[2:])
-    noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(checks.team.device)
-    achieved = torch.empty(len(scenes), len(asked), device=checks.team.device)
-    inside = torch.zeros((), device=checks.team.device)
+    device, size = checks.team.device, len(checks.labels)
+    scenes = torch.arange(size, device=device)
+    asked = torch.linspace(-1, 1, levels, device=device).repeat_interleave(samples)
+    shape = (size, len(asked), *checks.waypoints.shape[2:])
+    noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
+    achieved = torch.empty(shape[:2], device=device)
+    inside = torch.zeros((), device=device)
     for column, level in enumerate(asked):
-        waypoints = model.sample(checks.conditions, level.expand(len(scenes)), noise[:, column])
+        waypoints = model.sample(checks.conditions, level.expand(size), noise[:, column])
         points = checks.scorer.curve(waypoints)
-        label = checks.scorer.label(checks.conditions, scenes, points)
-        achieved[:, column] = label.clamp(-1, 1)
+        achieved[:, column] = checks.scorer.label(checks.conditions, scenes, points).clamp(-1, 1)
         inside += (checks.conditions.wall_distance(points) >= -1e-6).all(dim=1).float().mean()
     labels, wanted = achieved.cpu().numpy(), asked.cpu().numpy()
     ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in labels])

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..errors import InvalidInputError
 
-_DTYPES = {"no": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
+_PRECISIONS = ("no", "bf16")
 
 _LAUNCHED = ("ACCELERATE_MIXED_PRECISION", "LOCAL_RANK")
 """Environment variables set by `accelerate launch` and by `torchrun`."""
@@ -28,7 +28,7 @@ class Team:
         device: of this process.
         rank: its number; 0 is the main process, which alone logs, validates and writes.
         size: number of processes.
-        precision: of the network's products: no (float32), bf16 or fp16.
+        precision: of the network's products: no (float32) or bf16.
         accelerator: that of the package accelerate, if a launcher started the processes.
     """
 
@@ -44,57 +44,39 @@ class Team:
 
         Args:
             device: cpu or cuda; if not given, accelerate's choice, or a GPU if there is one.
-            precision: no, bf16 or fp16; if not given, the launcher's, or no.
+            precision: no or bf16; if not given, the launcher's, or no.
 
         Raises:
             InvalidInputError: the device or the precision cannot be used here.
         """
-        if precision is not None and precision not in _DTYPES:
+        joined = _accelerator(device, precision)
+        if joined is not None:
+            precision = str(joined.mixed_precision)
+        if precision not in (None, *_PRECISIONS):
             raise InvalidInputError(
-                f"precision must be one of {', '.join(_DTYPES)}, got {precision!r}"
+                f"precision must be one of {', '.join(_PRECISIONS)}, got {precision!r}"
             )
-        if not any(name in os.environ for name in _LAUNCHED):
+        if joined is None:
             return cls(choose_device(device), precision=precision or "no")
-        from accelerate import Accelerator
-
-        # Imported later, this module would keep the group alive in defaults of its functions, and
-        # `leave` could not end it.
-        import_module("torch.distributed.nn.functional")
-
-        try:
-            joined = Accelerator(cpu=device == "cpu", mixed_precision=precision)
-        except ValueError as cause:
-            raise InvalidInputError(f"accelerate cannot be used here: {cause}") from cause
         where = joined.device if device is None else choose_device(device)
-        precision = str(joined.mixed_precision)
-        if precision not in _DTYPES:
-            raise InvalidInputError(
-                f"precision must be one of {', '.join(_DTYPES)}, accelerate has {precision!r}"
-            )
-        return cls(where, joined.process_index, joined.num_processes, precision, joined)
+        return cls(where, joined.process_index, joined.num_processes, precision or "no", joined)
 
     @property
     def main(self) -> bool:
         """Whether this is the process that logs, validates and writes."""
         return self.rank == 0
 
-    def shared(self, name: str, number: int) -> int:
-        """The share of each process in a batch of `number` items, which the setting `name` is."""
-        if number % self.size:
-            raise InvalidInputError(
-                f"{name} must be a multiple of the {self.size} processes, got {number}"
-            )
-        return number // self.size
-
     def share(self, batch: Tensor) -> Tensor:
         """This process's rows of a whole `batch`."""
+        if len(batch) % self.size:
+            raise InvalidInputError(
+                f"a batch must be a multiple of the {self.size} processes, got {len(batch)} items"
+            )
         return batch.chunk(self.size)[self.rank]
 
     def autocast(self) -> Any:
         """A context in which the network computes in the team's precision."""
-        if self.precision == "no":
-            return nullcontext()
-        return torch.autocast(self.device.type, dtype=_DTYPES[self.precision])
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16")
 
     @contextmanager
     def main_first(self) -> Iterator[None]:
@@ -118,9 +100,20 @@ class Team:
         if self.accelerator is not None:
             self.accelerator.end_training()
 
-    def scaler(self) -> torch.amp.GradScaler:
-        """A scaler that keeps small gradients from vanishing in fp16 and does nothing otherwise."""
-        return torch.amp.GradScaler(self.device.type, enabled=self.precision == "fp16")
+
+def _accelerator(device: str | None, precision: str | None) -> Any:
+    """That of the package accelerate, or None if no launcher started this process."""
+    if not any(name in os.environ for name in _LAUNCHED):
+        return None
+    from accelerate import Accelerator
+
+    # Imported later, this module would keep the group alive in defaults of its functions, and
+    # `leave` could not end it.
+    import_module("torch.distributed.nn.functional")
+    try:
+        return Accelerator(cpu=device == "cpu", mixed_precision=precision)
+    except ValueError as cause:
+        raise InvalidInputError(f"accelerate cannot be used here: {cause}") from cause
 
 
 def choose_device(name: str | None) -> torch.device:
