@@ -85,14 +85,10 @@ def search_sizes(modulator: Modulator, scene: Scene) -> tuple[int, int]:
 class Contest:
     """All methods on the same scenes, levels, robots and seeds.
 
-    Args:
-        modulator: both stages; stage 2 follows the paths of all methods that have one.
-        policies: the goal-conditioned baselines by the name of their method.
-        kind: vector environment.
-        sizes: curves that the two searches draw.
-
-    Raises:
-        InvalidInputError: there is no stage 2, or a policy moves other robots.
+    Stage 2 of `modulator` follows the paths of all methods that have one; `policies` are the
+    goal-conditioned baselines by the name of their method; `sizes` are the numbers of curves that
+    the two searches draw. Raises InvalidInputError without a stage 2, or if a policy moves robots
+    other than those of `kind`.
     """
 
     def __init__(
@@ -126,20 +122,19 @@ class Contest:
         medians = {}
         for name in METHODS:
             if name != "oracle":
-                times = [self._timed(name, Job(scene, 0, 1.0, seed, seed)) for seed in range(6)]
-                plan, motion = np.median(times[1:], axis=0)
+                times = []
+                for seed in range(6):
+                    job, started = Job(scene, 0, 1.0, seed, seed), time.perf_counter()
+                    paths = self.paths(name, [job], [])
+                    planned = time.perf_counter() - started
+                    driver = _Stopwatch(self._driver(name, [job]))
+                    self._execute([job], paths, driver)
+                    moved = sum(driver.times)
+                    guided = METHODS[name].guided  # the path is not followed
+                    times.append((driver.times[0], moved) if guided else (planned, planned + moved))
+                plan, motion = 1e3 * np.median(times[1:], axis=0)
                 medians[name] = {"plan": float(plan), "motion": float(motion)}
         return medians
-
-    def _timed(self, name: str, job: Job) -> tuple[float, float]:
-        started = time.perf_counter()
-        paths = self.paths(name, [job], [])
-        planned = time.perf_counter() - started
-        driver = _Stopwatch(self._driver(name, [job]))
-        self._execute([job], paths, driver)
-        if METHODS[name].guided:
-            return 1e3 * driver.times[0], 1e3 * sum(driver.times)
-        return 1e3 * planned, 1e3 * (planned + sum(driver.times))
 
     def paths(self, name: str, jobs: Sequence[Job], archives: Sequence[Archive]) -> list[Path]:
         """A path of a method for each of `jobs`; for a policy the straight line, not followed.
@@ -181,9 +176,8 @@ class Contest:
     @threads(1)
     def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
         name, jobs, paths = item
-        rollouts = self._execute(
-            jobs, paths or self.paths(name, jobs, []), self._driver(name, jobs)
-        )
+        paths = paths or self.paths(name, jobs, [])
+        rollouts = self._execute(jobs, paths, self._driver(name, jobs))
         return [Motion(r.states, r.success, r.reason) for r in rollouts]
 
     def _driver(self, name: str, jobs: Sequence[Job]) -> Driver:
