@@ -115,8 +115,7 @@ def evaluate_table1(
     Rollouts are paired: the n-th of each method has the same robot and the same seeds. The metrics
     do not depend on the number of workers.
 
-    Arguments as of `evaluate_dial`; the model needs both stages, `policies` are the baselines by
-    the name of their method.
+    Arguments as of `evaluate_dial`, and `policies`, the baselines by the name of their method.
 
     Returns:
         `methods`: for each its times and, toward either target, success with interval, end reasons,
@@ -148,9 +147,13 @@ def evaluate_table1(
             methods[name]["targets"][letter] = {
                 "success": _share(executed),
                 "reasons": dict(Counter(motion.reason for motion in executed)),
-                **{m: _mean(array, listed=m in TESTED) for m, array in values.items()},
+                **{
+                    m: {"mean": float(array.mean()), "interval": bootstrap_interval(array)}
+                    for m, array in values.items()
+                },
             }
             for metric, sign in TESTED.items():
+                methods[name]["targets"][letter][metric]["values"] = _rounded(values[metric])
                 cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
     return {
         "env": world(contest.kind),
@@ -267,11 +270,6 @@ def _values(
 def _share(motions: Sequence[Motion]) -> dict[str, Any]:
     success = np.array([motion.success for motion in motions])
     return {"mean": float(success.mean()), "interval": share_interval(success)}
-
-
-def _mean(values: Array, *, listed: bool) -> dict[str, Any]:
-    content = {"mean": float(values.mean()), "interval": bootstrap_interval(values)}
-    return content | ({"values": _rounded(values)} if listed else {})
 
 
 def _rounded(values: Array) -> list[float]:

@@ -12,7 +12,6 @@ from ..curves import arc_length, turning
 from ..data.scenes import SceneStream
 from ..envs import vector_type
 from ..modulator import Modulator
-from ..motion.path import Path
 from ..parallel import pool, threads
 from ..seeds import plan_seeds
 from .common import (
@@ -124,7 +123,15 @@ def _measure(
     path = modulator.plan(scene, 0, asked, seed=seed, **options)
     zero = np.abs(asked) == np.abs(levels).min()
     if config.closed_loop:
-        score, curves, metrics = _executed(modulator, path, seed, config.env)
+        kind = vector_type(config.env, scene.dim)
+        rollouts = execute_paths(modulator, kind, path, seed, seed)
+        score = np.array([r.score for r in rollouts])
+        curves = np.stack([r.trajectory(200) for r in rollouts])
+        off = [r.deviation.mean() for r in rollouts] / path.length
+        metrics = {
+            "success": float(np.mean([r.success for r in rollouts])),
+            "deviation": float(off.mean()),
+        }
     else:
         score, curves = path.score, path.trajectory(200)
         ends = np.abs(asked) == 1
@@ -157,24 +164,11 @@ def _measure(
         "wrong_order": float((np.diff(means) < 1e-9).mean()),
         "spread": float(table.std(axis=1).mean()),
     }
-    by_level = {
-        "achieved": means,
-        "error_by_level": np.abs(table - levels[:, None]).mean(axis=1),
-        "drawn_inside_by_level": 1 - path.clipped.reshape(table.shape).mean(axis=1),
+    return {
+        "scene": index,
+        "goals": scene.num_goals,
+        **metrics,
+        "achieved": means.tolist(),
+        "error_by_level": np.abs(table - levels[:, None]).mean(axis=1).tolist(),
+        "drawn_inside_by_level": (1 - path.clipped.reshape(table.shape).mean(axis=1)).tolist(),
     }
-    listed = {name: values.tolist() for name, values in by_level.items()}
-    return {"scene": index, "goals": scene.num_goals, **metrics, **listed}
-
-
-def _executed(
-    modulator: Modulator, path: Path, seed: int, name: str | None
-) -> tuple[Array, Array, dict[str, float]]:
-    """Scores `(B,)` and curves `(B, T, D)` [m] of the executed paths, and their metrics."""
-    rollouts = execute_paths(modulator, vector_type(name, path.scene.dim), path, seed, seed)
-    off = [r.deviation.mean() for r in rollouts] / path.length
-    metrics = {
-        "success": float(np.mean([r.success for r in rollouts])),
-        "deviation": float(np.mean(off)),
-    }
-    score = np.array([r.score for r in rollouts])
-    return score, np.stack([r.trajectory(200) for r in rollouts]), metrics

@@ -35,28 +35,12 @@ from .statistics import bootstrap_interval, rank_correlation, share_interval, su
 
 
 class Row(NamedTuple):
-    """A controller and its conditions.
+    """A controller and its conditions."""
 
-    Attributes:
-        text: name in tables.
-        driver: makes the controller from stage 2 and a seed.
-        disturbance: `push` or `shift`, an option of the environment.
-        replan: whether the robot may replan; one without feedback from the path is off it by
-            design.
-    """
-
-    text: str
-    driver: Callable[[PathPolicy, int], Driver]
-    disturbance: str | None = None
-    replan: bool = True
-
-
-def _replay(policy: PathPolicy, seed: int, gain: float = 1.0) -> Replay:
-    return Replay(policy.config.limit, gain)
-
-
-def _feedback(policy: PathPolicy, seed: int) -> Feedback:
-    return Feedback()
+    text: str  # name in tables
+    driver: Callable[[PathPolicy, int], Driver]  # from stage 2 and a seed
+    disturbance: str | None = None  # push or shift, an option of the environment
+    replan: bool = True  # without feedback from the path a robot is off it by design
 
 
 ROWS = {
@@ -64,14 +48,18 @@ ROWS = {
     "policy, pushed": Row("stage 2, pushed once", Policy, "push"),
     "policy, goal moved": Row("stage 2, the target moved once", Policy, "shift"),
     "goal only": Row("stage 2 without the path", partial(Policy, with_path=False), replan=False),
-    "open loop": Row("open-loop replay of the path's displacements", _replay, replan=False),
-    "open loop, mean gain": Row(
-        "the same, divided by the mean of the hidden gains",
-        partial(_replay, gain=NOMINAL_GAIN),
+    "open loop": Row(
+        "open-loop replay of the path's displacements",
+        lambda policy, seed: Replay(policy.config.limit),
         replan=False,
     ),
-    "feedback": Row("the feedback controller that demonstrated", _feedback),
-    "feedback, pushed": Row("the same, pushed once", _feedback, "push"),
+    "open loop, mean gain": Row(
+        "the same, divided by the mean of the hidden gains",
+        lambda policy, seed: Replay(policy.config.limit, NOMINAL_GAIN),
+        replan=False,
+    ),
+    "feedback": Row("the feedback controller that demonstrated", lambda policy, seed: Feedback()),
+    "feedback, pushed": Row("the same, pushed once", lambda policy, seed: Feedback(), "push"),
 }
 """The rows of the table, by name."""
 
@@ -95,15 +83,13 @@ def evaluate_execution(
     Arguments as of `evaluate_dial`; the model needs both stages.
 
     Returns:
-        `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ (of
-        all rollouts, however they ended; not where the target moved, because that label would
-        belong to another scene), the deviation from the curve followed at the time over the length
-        of the first curve, violations, and the environment's counts;
-        `step_ms`: a control step of one robot on one core, policy included, amortised over a chunk;
+        `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ of
+        all rollouts (not where the target moved: a label belongs to a scene), the deviation from
+        the curve followed at the time over the length of the first curve, violations, and the
+        environment's counts; before other work starts, `step_ms`: see `step_milliseconds`,
         `rollouts_per_second`: of stage 2, planning included, the first `at_once` robots on
-        `threads` threads; `env_steps_per_second`: of the environment alone, as many robots, on one
-        core; these three before other work starts;
-        `env`; `disturbance` [m].
+        `threads` threads, `env_steps_per_second`: of the environment alone, as many robots, on one
+        core; `env`; `disturbance` [m].
     """
     policy = modulator.path_policy
     if policy is None:

@@ -149,10 +149,9 @@ def headline_table(results: Results, models: dict[str, str] | None = None) -> Ta
             if row["metric"] == "plan_one_core_ms" and row["model"] in models
         }
         if plans:
-            cells = (
-                f"{plans.get((m, 'torch'), '–')} / {plans.get((m, 'onnx'), '–')}" for m in models
-            )
-            table.add_row("one plan on one core, PyTorch / ONNX [ms]", *cells)
+            cells = [[plans.get((m, b), "–") for b in ("torch", "onnx")] for m in models]
+            shown = map(" / ".join, cells)
+            table.add_row("one plan on one core, PyTorch / ONNX [ms]", *shown)
     return table
 
 

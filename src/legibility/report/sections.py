@@ -182,16 +182,15 @@ def table1_section(document: dict[str, Any]) -> list[Part]:
     others = [m for m in MOTION_METRICS if m not in TESTED]
     rest = Table("method", *(MOTION_METRICS[m] for m in others), "plan [ms]", "whole motion [ms]")
     for name, method in result["methods"].items():
-        text, targets, times = METHODS[name].text, method["targets"], method["milliseconds"]
+        targets, times = method["targets"], method["milliseconds"]
         values = {t: {m: entry[m]["mean"] for m in TESTED} for t, entry in targets.items()}
         success = min(entry["success"]["mean"] for entry in targets.values())
         row = _beside_paper(result, METHODS[name].paper, values)
-        row[::2] = [
-            _bold_if_better(result, *pair, name) for pair in zip(row[::2], cells, strict=True)
-        ]
-        table.add_row(text, percent(success), *row)
+        ours = zip(row[::2], cells, strict=True)
+        row[::2] = [_bold_if_better(result, text, cell, name) for text, cell in ours]
+        table.add_row(METHODS[name].text, percent(success), *row)
         rest.add_row(
-            text,
+            METHODS[name].text,
             *(number(sum(t[m]["mean"] for t in targets.values()) / len(targets)) for m in others),
             *(number(times[span], 1) if times else "–" for span in ("plan", "motion")),
         )
