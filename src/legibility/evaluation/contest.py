@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..baselines.guided import GuidedPolicy
-from ..baselines.planners import archive_path, candidates_within, search, straight_path
+from ..baselines.planners import archive_path, search, straight_path
 from ..checks import Array
 from ..drivers import Driver, Policy, RobotStates
 from ..envs.block_reach import BlockReachVector
@@ -22,7 +22,7 @@ from ..motion.path import Path
 from ..parallel import Each, threads
 from ..rollout import Rollout
 from ..scene import Scene
-from .common import Progress, counter, execute, gather, plan_milliseconds, silent, world
+from .common import Progress, counter, execute, gather, silent, world
 
 CANDIDATES = 64
 """Paths drawn by the modulator's second row, which takes the best."""
@@ -64,22 +64,6 @@ class Job(NamedTuple):
     level: float
     env_seed: int
     plan_seed: int
-
-
-class Motion(NamedTuple):
-    """An executed motion: states `(T, D)` [m], success and end reason."""
-
-    states: Array
-    success: bool
-    reason: str
-
-
-@threads(1)
-def search_sizes(modulator: Modulator, scene: Scene) -> tuple[int, int]:
-    """Curves that fit in the time of a plan in `scene`, and in ten times that, on one core."""
-    plan, observer = plan_milliseconds(modulator, scene, repeats=25), modulator.config.observer
-    few, many = (candidates_within(factor * plan, scene, 0, observer) for factor in (1, 10))
-    return few, many
 
 
 class Contest:
@@ -159,7 +143,7 @@ class Contest:
         work: Sequence[tuple[str, Sequence[Job], Sequence[Archive]]],
         each: Each,
         progress: Progress = silent,
-    ) -> list[list[Motion]]:
+    ) -> list[list[Rollout]]:
         """Execute methods' jobs, with the archives of the jobs' scenes, as many at once as fit."""
         items: list[tuple[str, Sequence[Job], list[Path] | None]] = []
         for name, jobs, archives in work:
@@ -174,11 +158,10 @@ class Contest:
         return [list(islice(motions, len(jobs))) for _, jobs, _ in work]
 
     @threads(1)
-    def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
+    def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Rollout]:
         name, jobs, paths = item
         paths = paths or self.paths(name, jobs, [])
-        rollouts = self._execute(jobs, paths, self._driver(name, jobs))
-        return [Motion(r.states, r.success, r.reason) for r in rollouts]
+        return self._execute(jobs, paths, self._driver(name, jobs))
 
     def _driver(self, name: str, jobs: Sequence[Job]) -> Driver:
         seed = jobs[0].plan_seed

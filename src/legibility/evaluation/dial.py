@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,42 +27,24 @@ from .common import (
 from .configuration import DialConfig
 from .statistics import rank_correlation, summary
 
-
-class Metric(NamedTuple):
-    """A metric of the dial."""
-
-    text: str
-    best: float | None  # the value nearest to which is best; ±inf if higher or lower is better
-
-
 METRICS = {
-    "spearman": Metric("Spearman correlation of asked and achieved ℓ", np.inf),
-    "error": Metric("mean absolute error of the achieved ℓ", -np.inf),
-    "error_candidates": Metric("the same, with candidates", -np.inf),
-    "at_1": Metric("achieved ℓ when asked 1", 1.0),
-    "at_0": Metric("achieved ℓ when asked 0", 0.0),
-    "at_-1": Metric("achieved ℓ when asked −1", -1.0),
-    "length_ratio_at_0": Metric("length over the straight line's when asked 0", 1.0),
-    "inside": Metric("share of curves inside the workspace", np.inf),
-    "drawn_inside": Metric("the same, before curves are brought back to its walls", np.inf),
-    "beyond_archive": Metric("share of paths asked for ±1 beyond the archive's best", None),
-    "turning": Metric("angle that paths asked for ±1 turn through [rad]", None),
-    "wrong_order": Metric("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
-    "spread": Metric("standard deviation of the achieved ℓ among samples of a level", None),
-    "success": Metric("share of rollouts that reached the target", np.inf),
-    "deviation": Metric("mean distance from the planned curve over its length", -np.inf),
+    "spearman": "Spearman correlation of asked and achieved ℓ",
+    "error": "mean absolute error of the achieved ℓ",
+    "error_candidates": "the same, with candidates",
+    "at_1": "achieved ℓ when asked 1",
+    "at_0": "achieved ℓ when asked 0",
+    "at_-1": "achieved ℓ when asked −1",
+    "length_ratio_at_0": "length over the straight line's when asked 0",
+    "inside": "share of curves inside the workspace",
+    "drawn_inside": "the same, before curves are brought back to its walls",
+    "beyond_archive": "share of paths asked for ±1 beyond the archive's best",
+    "turning": "angle that paths asked for ±1 turn through [rad]",
+    "wrong_order": "share of adjacent levels whose mean achieved ℓ does not rise",
+    "spread": "standard deviation of the achieved ℓ among samples of a level",
+    "success": "share of rollouts that reached the target",
+    "deviation": "mean distance from the planned curve over its length",
 }
-"""The metrics of a scene; the last two are of executed motions only, some of plans only."""
-
-
-def worst(name: str, values: dict[str, float]) -> float | None:
-    """The value of a metric, of `min` and `max` over scenes, in the worst; None if none is."""
-    best = METRICS[name].best
-    if best is None:
-        return None
-    if np.isinf(best):
-        return values["min" if best > 0 else "max"]
-    return max((values["min"], values["max"]), key=lambda value: abs(value - best))
+"""The metrics of a scene in words; the last two are of executed motions only, some of plans only."""
 
 
 def evaluate_dial(

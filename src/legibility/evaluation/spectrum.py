@@ -26,10 +26,7 @@ from .statistics import bootstrap_interval
 
 
 def evaluate_spectrum(
-    modulator: Modulator,
-    config: SpectrumConfig,
-    *,
-    progress: Progress = silent,
+    modulator: Modulator, config: SpectrumConfig, *, progress: Progress = silent
 ) -> dict[str, Any]:
     """Execute motions of all levels in the scene of Table I, toward R and toward G.
 

@@ -28,13 +28,10 @@ _PAGE = "the repository's `docs/results.md`"
 
 
 def render_card(name: str, config: dict[str, Any], results: Results) -> str:
-    """The model card of weights.
+    """The model card of the weights `name`, from the content of their `config.json`.
 
-    Args:
-        name: of the weights.
-        config: the content of their `config.json`.
-        results: of `read_results`. The modulator needs `dial` and, with a stage 2, `closed-loop`
-            and `execution`; Legibility Diffuser needs `tuning`.
+    Of `results`, the modulator needs `dial` and, with a stage 2, `closed-loop` and `execution`;
+    Legibility Diffuser needs `tuning`.
 
     Raises:
         InvalidInputError: a result is missing or of other weights, or the training is not known.

@@ -83,11 +83,7 @@ def section_of(kind: str, name: str, document: Document) -> list[Part]:
 
 
 def render_page(results: Results, pictures: str) -> str:
-    """All results as one page of Markdown.
-
-    Args:
-        results: of `read_results`.
-        pictures: folder of the pictures, relative to the page.
+    """All results as one page of Markdown; `pictures` is their folder, relative to the page.
 
     Raises:
         InvalidInputError: a file holds something else than its name says.
@@ -113,11 +109,9 @@ def render_page(results: Results, pictures: str) -> str:
 
 
 def headline_table(results: Results, models: dict[str, str] | None = None) -> Table:
-    """The few metrics to read first; what was not measured is left out.
+    """The few metrics to read first, of shipped weights or of `models`, with their heads by name.
 
-    Args:
-        results: of `read_results`.
-        models: the heads of the columns by the model's name; `plane` and `arm` if not given.
+    Rows that were not measured are left out.
     """
     models = models or {"block-reach-2d": "plane", "panda-block-reach": "arm"}
     table = Table("metric", *models.values())

@@ -9,29 +9,26 @@ from ..evaluation.ablations import COLUMNS
 from ..evaluation.comparison import METRICS as MOTION_METRICS
 from ..evaluation.comparison import TARGETS, TESTED, paper_rows
 from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
-from ..evaluation.dial import METRICS, worst
+from ..evaluation.dial import METRICS
 from ..evaluation.execution import ROWS
 from .bench import threads_of
 from .table import Bold, Part, Table, number, three_digits
 
 NOTES = (
     "Scenes are random and held out; intervals are of 95 %. The achieved ℓ of a trajectory is its "
-    "score read off the archive of its scene. Spearman's correlation and the error compare it with "
-    "the asked ℓ, whether a motion arrived or not; where the target moved there is none, because ℓ "
-    "belongs to a scene. Lengths are relative to the straight line. The deviation is the mean "
-    "distance from the curve followed at the time, over the length of the first curve. Robots have "
-    "a hidden gain and lag in BlockReach2D, arms a hidden response and delay in PandaBlockReach "
-    "(MuJoCo); PandaGymBlockReach (panda-gym) is never used in training. Plans and control steps "
-    "are timed on one core.",
+    "score read off the archive of its scene; Spearman's correlation and the error compare it with "
+    "the asked ℓ, whether a motion arrived or not. Lengths are relative to the straight line; the "
+    "deviation is the mean distance from the curve followed, over the length of the first curve. "
+    "Robots have hidden gains and lags; PandaGymBlockReach (panda-gym) is never used in training. "
+    "Plans and control steps are timed on one core.",
     "All methods share scenes, robots and seeds. The oracle is the most legible trajectory of a "
-    "scene's archive. In Table I, brackets hold the ratio to the oracle, ours to ours and the "
-    "paper's to the paper's: its L_p is of another field and its 3-D scene is not published, so "
-    "only ratios are comparable. Bold is significantly better than Diffusion Policy, or worse than "
-    "another method (p < 0.05 in paired two-sided Wilcoxon tests with Holm's correction over the "
-    "table); the effect is the rank-biserial correlation, 1 if better in every pair. The time to "
-    "confidence is the share of the motion after which P(g*) ≥ 0.8 for good; never counts as 1. "
-    "The plan is the time before the robot can move; the whole motion adds all action chunks, but "
-    "not the simulation.",
+    "scene's archive; brackets in Table I hold the ratio to it, ours to ours and the paper's to "
+    "the paper's, and only ratios are comparable: the paper's L_p is of another field. Bold is "
+    "significantly better than Diffusion Policy, or worse than another method (p < 0.05 in paired "
+    "two-sided Wilcoxon tests with Holm's correction over the table); the effect is the "
+    "rank-biserial correlation. The time to confidence is the share of the motion after which "
+    "P(g*) ≥ 0.8 for good; never counts as 1. The plan is the time before the robot can move; the "
+    "whole motion adds all action chunks, but not the simulation.",
 )
 """Paragraphs about the metrics of all sections."""
 
@@ -76,12 +73,12 @@ def dial_section(document: dict[str, Any]) -> list[Part]:
             f"Only the row “with candidates” takes the nearest of {config['candidates']} paths. "
             f"One plan took {result['plan_ms']:.1f} ms."
         )
-    table = Table("metric", "mean over scenes", "95 % interval", "worst scene")
+    table = Table("metric", "mean over scenes", "95 % interval", "of single scenes")
     for name, values in result["overall"].items():
-        mean, low, high = (number(x, 4) for x in (values["mean"], *values["interval"]))
-        extreme = worst(name, values)
-        last = "" if extreme is None else number(extreme, 4)
-        table.add_row(METRICS[name].text, mean, f"{low} to {high}", last)
+        ends = (*values["interval"], values["min"], values["max"])
+        low, high, least, most = (number(value, 4) for value in ends)
+        mean = number(values["mean"], 4)
+        table.add_row(METRICS[name], mean, f"{low} to {high}", f"{least} to {most}")
     return [
         f"{_scenes_of(document)}, {config['levels']} levels of ℓ, {config['samples']} samples of "
         f"each. {how}",
