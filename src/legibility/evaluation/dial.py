@@ -44,7 +44,7 @@ METRICS = {
     "success": "share of rollouts that reached the target",
     "deviation": "mean distance from the planned curve over its length",
 }
-"""The metrics of a scene in words; the last two are of executed motions only, some of plans only."""
+"""The metrics of a scene; the last two are of executed motions only, some of plans only."""
 
 
 def evaluate_dial(

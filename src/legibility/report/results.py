@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 from ..errors import InvalidInputError
 from ..files import read_document
-from .bench import bench_section
 from .sections import (
     NOTES,
     ablations_section,
+    bench_section,
     dial_section,
     execution_section,
     percent,

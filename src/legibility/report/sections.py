@@ -11,7 +11,6 @@ from ..evaluation.comparison import TARGETS, TESTED, paper_rows
 from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
 from ..evaluation.dial import METRICS
 from ..evaluation.execution import ROWS
-from .bench import threads_of
 from .table import Bold, Part, Table, number, three_digits
 
 NOTES = (
@@ -34,6 +33,7 @@ NOTES = (
 
 _ARROWS = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
+_BENCH_CONDITIONS = ("batch", "goals", "dim", "precision")
 _VIOLATIONS = {
     "states_outside": "states outside the workspace",
     "actions_not_finite": "actions that were not finite",
@@ -282,3 +282,32 @@ def _bold_if_better(result: dict[str, Any], text: str, cell: str, method: str) -
         if (t["cell"], t["method"], t["against"]) == (cell, method, BASELINE)
     )
     return Bold(text) if better else text
+
+
+def bench_section(document: dict[str, Any]) -> list[Part]:
+    """The measurements of `legibility bench`, one a row."""
+    config, result = document["config"], document["result"]
+    machine = result["machine"]
+    load = "" if machine["load"] is None else f", load {machine['load']:.1f}"
+    table = Table(
+        "metric", "model", "backend", "conditions", "median", "95 % interval", left=range(4)
+    )
+    for row in result["measurements"]:
+        conditions = ", ".join(f"{name} {row[name]}" for name in _BENCH_CONDITIONS if name in row)
+        median, low, high = (three_digits(row[name]) for name in ("median", "low", "high"))
+        labels = row.get("model", ""), row.get("backend", ""), conditions
+        table.add_row(row["metric"], *labels, median, f"{low} to {high}")
+    return [
+        f"{machine['cpu']}, {machine['cores']} cores, {threads_of(machine)}, PyTorch "
+        f"{machine['torch']}{load}; training on {machine['device']}. {config['rounds']} "
+        f"interleaved rounds of {config['seconds']:g} s or one call; rollouts of "
+        f"{config['robots']} 2-D robots or {config['arms']} arms at once. A plan goes from a scene "
+        "to checked paths; loading includes PyTorch.",
+        *(f"Skipped: {reason}." for reason in result["skipped"]),
+        table,
+    ]
+
+
+def threads_of(facts: dict[str, Any]) -> str:
+    """The number of threads of a measurement."""
+    return f"{facts['threads']} thread{'s' * (facts['threads'] > 1)}"
