@@ -39,16 +39,6 @@ def test_page_is_complete_and_tidy(results):
         assert len(line) <= 100 or line.startswith(("|", "!", "Measured"))
 
 
-def test_contents_lead_to_headings(results):
-    page = render_page(results, "../results")
-    headings = re.findall(r"^#+ (.*)$", page, re.MULTILINE)
-    anchors = {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}
-    links = re.findall(r"\* \[.*\]\(#(.*)\)", page)
-    assert len(links) == len(set(links)) == 2 * len(KINDS)
-    assert set(links) <= anchors
-    assert len(anchors) == len(headings)
-
-
 def test_page_without_some_kinds(results):
     page = render_page({"dial": results["dial"]}, "../results")
     assert "## Execution" not in page
