@@ -105,7 +105,7 @@ class TestModulator:
         card = words(render_card("m", config, results))
         assert "12,000 batches of 128 scenes" in card
         assert "4,000 batches of 128 scenes" in card
-        assert "a student that draws in 1 step without guidance" in card
+        assert "A student that draws in 1 step without guidance" in card
         assert f"(SHA-256 `{'e' * 64}`), which draws in 3 with guidance 0.3" in card
         assert "distilled from 64 paths a scene" in card
         config["path"]["training"]["teacher"]["training"] = None
