@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from itertools import chain, islice
 from typing import NamedTuple
 
@@ -131,11 +132,8 @@ class Contest:
             size = self.sizes[name != "search"]
             return [search(*job[:3], self.observer, size, job.plan_seed) for job in jobs]
         if name in OURS:
-            candidates = CANDIDATES if name == OURS[1] else 1
-            return [
-                self.modulator.plan(*job[:3], seed=job.plan_seed, num_candidates=candidates)
-                for job in jobs
-            ]
+            plan = partial(self.modulator.plan, num_candidates=CANDIDATES if name == OURS[1] else 1)
+            return [plan(*job[:3], seed=job.plan_seed) for job in jobs]
         return [straight_path(*job[:3], self.observer) for job in jobs]
 
     def motions(

@@ -63,6 +63,9 @@ ROWS = {
 }
 """The rows of the table, by name."""
 
+_Task = tuple[str, list[Scene], Array, list[int], list[Path] | None]
+"""Rollouts of a row to execute together: scenes, levels, seeds, and paths unless they are new."""
+
 _DISTURBANCE = 2.0
 _NEAR = 0.05
 
@@ -110,24 +113,22 @@ def evaluate_execution(
         scores_of = partial(_scores_of, source, modulator.config.observer)
         archives = gather(work, scores_of, range(config.scenes), lambda _: advance(1))
         scenes = [archives[i].scene for i in scene_of.tolist()]
-        batches = [
-            _Batch(scenes[first : first + at_once], levels[first : first + at_once],
-                   plan_seeds(config.seed, first, 3, "demonstration"))
-            for first in range(0, config.rollouts, at_once)
-        ]  # fmt: skip
+        tasks: list[_Task] = []
+        for first in range(0, config.rollouts, at_once):
+            part = slice(first, first + at_once)
+            seeds = plan_seeds(config.seed, first, 3, "demonstration")
+            tasks.append((next(iter(ROWS)), scenes[part], levels[part], seeds, None))
         run = partial(_rollouts, modulator, policy, kind, disturbance)
         started = time.perf_counter()
-        parts = [run((next(iter(ROWS)), batches[0]))]
+        parts = [run(tasks[0])]
         speed = at_once / (time.perf_counter() - started)
         advance(at_once)
         for name, row in ROWS.items():
-            tasks = [(name, batch) for batch in batches[len(parts) :]]
-            parts += gather(work, run, tasks, lambda part: advance(len(part)))
+            tasks = [(name, *task[1:]) for task in tasks]
+            parts += gather(work, run, tasks[len(parts) :], lambda part: advance(len(part)))
             # The plans of the first row are those of all.
-            batches = [
-                batch._replace(paths=[rollout.path for rollout in part])
-                for batch, part in zip(batches, parts, strict=True)
-            ]
+            pairs = zip(tasks, parts, strict=True)
+            tasks = [(*task[:-1], [rollout.path for rollout in part]) for task, part in pairs]
             rows[name] = _metrics(list(chain(*parts)), levels, scene_of, archives, limit)
             parts = []
             if row.disturbance == "shift":
@@ -152,30 +153,20 @@ def _scores_of(source: SceneStream, observer: Observer, index: int) -> Archive:
     return replace(archive, controls=nothing, trajectories=nothing, descriptors=nothing)
 
 
-class _Batch(NamedTuple):
-    """Rollouts of a row that are executed together, on `paths` or on new plans."""
-
-    scenes: list[Scene]
-    levels: Array
-    seeds: list[int]
-    paths: list[Path] | None = None
-
-
 @threads(1)
 def _rollouts(
     modulator: Modulator,
     policy: PathPolicy,
     kind: type[BlockReachVector],
     disturbance: float,
-    task: tuple[str, _Batch],
+    task: _Task,
 ) -> list[Rollout]:
-    row, batch = ROWS[task[0]], task[1]
-    plan_seed, policy_seed, env_seed = batch.seeds
+    name, scenes, levels, (plan_seed, policy_seed, env_seed), paths = task
+    row = ROWS[name]
+    options = {row.disturbance: disturbance} if row.disturbance else {}
     return execute(
-        modulator, kind, batch.scenes, env_seed,
-        {row.disturbance: disturbance} if row.disturbance else {},
-        legibility=batch.levels, seed=plan_seed, paths=batch.paths,
-        driver=row.driver(policy, policy_seed), replan=row.replan,
+        modulator, kind, scenes, env_seed, options, legibility=levels, seed=plan_seed,
+        paths=paths, driver=row.driver(policy, policy_seed), replan=row.replan,
     )  # fmt: skip
 
 

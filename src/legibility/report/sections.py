@@ -257,11 +257,11 @@ def _tests(result: dict[str, Any], cells: list[str]) -> Table:
     heads = [": ".join([*c.split()[:-1], MOTION_METRICS[c.split()[-1]]]) for c in cells]
     table = Table("ours", "against", *heads, left=range(2))
     tests = {(t["cell"], t["method"], t["against"]): t for t in result["tests"]}
+    others = [name for name in METHODS if name not in OURS]
     for ours, text in zip(OURS, ("one path", f"best of {CANDIDATES}"), strict=True):
-        for name in METHODS:
-            if name not in OURS:
-                verdicts = (_verdict(tests[cell, ours, name]) for cell in cells)
-                table.add_row(text, METHODS[name].text, *verdicts)
+        for name in others:
+            verdicts = (_verdict(tests[cell, ours, name]) for cell in cells)
+            table.add_row(text, METHODS[name].text, *verdicts)
     return table
 
 
