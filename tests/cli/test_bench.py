@@ -5,7 +5,7 @@ from collections import Counter
 
 import pytest
 
-from legibility.report.bench import bench_section
+from legibility.report.sections import bench_section
 from legibility.report.table import Table, markdown
 
 TINY = (

@@ -9,7 +9,6 @@ import torch
 from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import Dataset, generate
 from legibility.errors import CheckpointError, InvalidInputError
-from legibility.evaluation import ablations
 from legibility.evaluation.ablations import COLUMNS, evaluate_ablations, variants
 from legibility.evaluation.configuration import AblationsConfig
 from legibility.evaluation.dial import METRICS
@@ -134,35 +133,12 @@ class TestEvaluate:
         assert len(lines) == len(ROWS)
         assert lines[4].startswith("small run without the field: spearman ")
 
-    def test_nothing_is_done_twice(self, evaluated, model, data, small, monkeypatch):
+    def test_nothing_is_trained_twice(self, evaluated, model, data, small, monkeypatch):
         folder, result, _ = evaluated
         logs = {name: (folder / name / LOG).read_bytes() for name in SMALL}
-        monkeypatch.setattr(ablations, "evaluate_dial", None)
         monkeypatch.setattr("legibility.training.path.PathBatches.loss", None)
         assert evaluate_ablations(model, data, folder, SHORT) == result
         assert logs == {name: (folder / name / LOG).read_bytes() for name in SMALL}
-
-    @pytest.mark.parametrize("content", ["", "{}", "[]", None])
-    def test_a_row_that_is_not_of_these_settings_is_measured_anew(
-        self, content, evaluated, model, data, small, monkeypatch
-    ):
-        folder, result, _ = evaluated
-        file, measured = folder / "steps-1" / "dial.json", []
-        before = file.read_text()
-        if content is None:
-            kept = json.loads(before)
-            kept["of"]["config"]["seed"] = 7
-            content = json.dumps(kept)
-        file.write_text(content)
-
-        def evaluate(modulator, config, **_):
-            measured.append(config.steps)
-            return result["rows"]["steps-1"]
-
-        monkeypatch.setattr(ablations, "evaluate_dial", evaluate)
-        assert evaluate_ablations(model, data, folder, SHORT) == result
-        assert measured == [1]
-        assert file.read_text() == before
 
     def test_other_training_in_the_same_folder(self, evaluated, model, data, small):
         folder, _, _ = evaluated

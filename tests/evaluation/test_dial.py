@@ -16,7 +16,7 @@ from legibility.data.dataset import paths_of
 from legibility.errors import InvalidInputError
 from legibility.evaluation import dial
 from legibility.evaluation.configuration import DialConfig
-from legibility.evaluation.dial import METRICS, evaluate_dial, worst
+from legibility.evaluation.dial import METRICS, evaluate_dial
 from legibility.intent.metrics import SCORE_POINTS
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
@@ -230,11 +230,6 @@ class TestMeasuresWhatItSays:
         found = evaluate_dial(fake, dataclasses.replace(SMALL, candidates=0))
         assert found["overall"]["drawn_inside"]["mean"] == pytest.approx(1 - 1 / 5)
         assert found["overall"]["inside"]["mean"] == 1
-
-    def test_the_worst_scene_is_on_the_side_that_is_worse(self):
-        figures = {"min": -0.01, "max": 0.2}
-        found = {name: worst(name, figures) for name in ("spearman", "error", "at_0", "spread")}
-        assert found == {"spearman": -0.01, "error": 0.2, "at_0": 0.2, "spread": None}
 
 
 class TestProtocol:

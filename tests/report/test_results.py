@@ -39,16 +39,6 @@ def test_page_is_complete_and_tidy(results):
         assert len(line) <= 100 or line.startswith(("|", "!", "Measured"))
 
 
-def test_contents_lead_to_headings(results):
-    page = render_page(results, "../results")
-    headings = re.findall(r"^#+ (.*)$", page, re.MULTILINE)
-    anchors = {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}
-    links = re.findall(r"\* \[.*\]\(#(.*)\)", page)
-    assert len(links) == len(set(links)) == 2 * len(KINDS)
-    assert set(links) <= anchors
-    assert len(anchors) == len(headings)
-
-
 def test_page_without_some_kinds(results):
     page = render_page({"dial": results["dial"]}, "../results")
     assert "## Execution" not in page
@@ -61,7 +51,7 @@ def test_headline(results):
     overall = results["dial"]["m"]["result"]["overall"]
     assert rows["mean absolute error of ℓ"] == (f"{overall['error']['mean']:.4f}", "–")
     assert rows["success of executed motions"] == ("100.00%", "–")
-    assert rows["one plan on one core, PyTorch / ONNX [ms]"] == ("– / 0.500", "–")
+    assert rows["one plan on one core, PyTorch / ONNX [ms]"] == ("– / 0.500", "– / –")
 
 
 def test_headline_leaves_out_what_was_not_measured(results):

@@ -6,13 +6,12 @@ import io
 import pytest
 from rich.console import Console
 
-from legibility.report.table import Bold, Column, Table, markdown, number, significant
+from legibility.report.table import Bold, Table, markdown, number, significant, three_digits
 
 
 @pytest.fixture
 def table():
-    table = Table("method", Column("L_d ↑", group="target R"), Column("paper", group="target R"),
-                  title="Table")  # fmt: skip
+    table = Table("method", "target R: L_d ↑", "target R: paper", title="Table")
     table.add_row("ours, 50%", Bold("1.5"), "−1")
     table.add_section()
     table.add_row("a_b | [c] & d", "2.5", "–")
@@ -34,12 +33,11 @@ def test_latex(table):
         "% made by x",
         r"\begin{tabular}{lrr}",
         r"\toprule",
-        r" & \multicolumn{2}{c}{target R} \\",
+        r"\multicolumn{1}{c}{} & \multicolumn{2}{c}{target R} \\",
         r"\cmidrule(lr){2-3}",
         r"method & \(L_d\) \(\uparrow\) & paper \\",
         r"\midrule",
         r"ours, 50\% & \textbf{1.5} & \(-\)1 \\",
-        r"\midrule",
         r"a\_b | [c] \& d & 2.5 & -- \\",
         r"\bottomrule",
         r"\end{tabular}",
@@ -93,4 +91,7 @@ def test_numbers():
     assert [number(x, 2) for x in (-0.001, 0.005, -1.5)] == ["0.00", "0.01", "-1.50"]
     assert [significant(x) for x in (0.01234, 1.2345, float("inf"), float("nan"), 0.0)] == [
         "0.0123", "1.234", "never", "–", "0.000"
+    ]  # fmt: skip
+    assert [three_digits(x) for x in (0.001234, 0.5, 99.96, 1234.5, 0.0)] == [
+        "1.23e-03", "0.500", "100", "1,234", "0.00"
     ]  # fmt: skip

@@ -16,6 +16,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 import torch
 
@@ -72,7 +73,6 @@ print(json.dumps(metrics))
 def machine(device: str) -> dict[str, Any]:
     """Processor, threads, device of training, version of PyTorch, and load average."""
     chosen = choose_device(device)
-    affinity = getattr(os, "sched_getaffinity", None)
     try:
         lines = Path("/proc/cpuinfo").read_text()
     except OSError:
@@ -80,7 +80,7 @@ def machine(device: str) -> dict[str, Any]:
     model = re.search(r"^model name\s*:\s*(.+)$", lines, re.MULTILINE)
     return {
         "cpu": model[1].strip() if model else platform.processor() or platform.machine(),
-        "cores": len(affinity(0)) if affinity else os.cpu_count(),
+        "cores": joblib.cpu_count(),
         "threads": torch.get_num_threads(),
         "device": torch.cuda.get_device_name(chosen) if chosen.type == "cuda" else "cpu",
         "torch": str(torch.__version__),
@@ -221,11 +221,7 @@ def _dataset(dim: int, config: BenchConfig) -> Dataset:
 
 
 def process_metrics(model: str, backend: str) -> dict[str, float]:
-    """Metrics of one process on as many threads as PyTorch has here.
-
-    Returns:
-        `import_ms` of `import legibility`; `load_ms` from there until the model is loaded, PyTorch
-        included; `first_plan_ms`; on Linux `memory_mb`, the peak resident memory [MB].
+    """Metrics of one process, `memory_mb` on Linux only, on as many threads as PyTorch has here.
 
     Raises:
         WorkerError: the process failed.
@@ -257,11 +253,7 @@ def interleaved(
 ) -> list[list[float]]:
     """Durations [s] of each of `works`, which take turns: background load hits all alike.
 
-    Args:
-        works: to time.
-        seconds: least time spent on each in a round; at least one run.
-        rounds: number of turns of each.
-        warm_up: run each once before, which does not count.
+    A turn lasts at least `seconds`, or one run. The run to warm up does not count.
     """
     if warm_up:
         for work in works:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from ..checks import count, positive
@@ -68,14 +67,13 @@ def run_bench(
         progress: called with the number of finished parts and of all parts.
 
     Returns:
-        `machine`: `cpu`, `cores`, `threads`, `device`, `torch` and `load`, the load average before;
-        `skipped`: reasons why something was not measured;
-        `measurements`: a list of flat rows. Each has a `metric` with its `median`, 95 % interval
-        `low` to `high` and number of `calls`, and the conditions that it was measured under:
-        `plan_ms` by `model`, `backend`, `batch` and `goals`; `plan_one_core_ms`, `control_step_ms`
-        (one core), `rollouts_per_second`, `load_ms`, `first_plan_ms` and `memory_mb` (peak) by
-        `model` and `backend`; `archive_ms`, `candidates_per_second`, `scenes_per_second` (one
-        process) and `training_steps_per_second` (also by `precision`) by `dim`; `import_ms`.
+        `machine`; `skipped`: reasons why something was not measured; `measurements`: flat rows,
+        each a `metric` with its `median`, 95 % interval `low` to `high`, number of `calls`, and
+        conditions: `plan_ms` by `model`, `backend`, `batch` and `goals`; `plan_one_core_ms`,
+        `control_step_ms` (one core), `rollouts_per_second`, `load_ms`, `first_plan_ms` and
+        `memory_mb` (peak) by `model` and `backend`; `archive_ms`, `candidates_per_second`,
+        `scenes_per_second` (one process) and `training_steps_per_second` (also by `precision`) by
+        `dim`; `import_ms`.
 
     Raises:
         InvalidInputError: there are no models, or the device cannot be used.
@@ -93,22 +91,21 @@ def run_bench(
         skipped: list[str] = []
         loaded = {name: measure.load(name, skipped) for name in models}
         dims = dict.fromkeys(backends["torch"].config.dim for backends in loaded.values())
-        parts: list[Callable[[], list[dict[str, Any]]]] = []
+        parts: list[tuple[Any, ...]] = []
         for name, backends in loaded.items():
-            parts.append(partial(measure.plans, name, backends, config))
+            parts.append((measure.plans, name, backends))
             if backends["torch"].path_policy is None:
                 skipped.append(f"motions of {name}: it has no stage 2")
             else:
-                parts.append(partial(measure.motions, name, backends, config))
+                parts.append((measure.motions, name, backends))
         for dim in dims:
-            parts.append(partial(measure.data, dim, config))
-            parts.append(partial(measure.training, dim, config))
-        parts.append(partial(measure.processes, loaded, config))
+            parts += [(measure.data, dim), (measure.training, dim)]
+        parts.append((measure.processes, loaded))
         measurements = []
-        for done, part in enumerate(parts):
+        for done, (part, *arguments) in enumerate(parts):
             progress(done, len(parts))
             try:
-                measurements += part()
+                measurements += part(*arguments, config)
             except MissingExtraError as error:  # no simulator
                 skipped.append(str(error))
         progress(len(parts), len(parts))

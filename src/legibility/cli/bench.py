@@ -9,7 +9,6 @@ from tyro.conf import arg
 
 from ..bench import BenchConfig, run_bench
 from ..errors import InvalidInputError
-from ..report.bench import bench_section
 from .options import MODELS, OutputFile, flags, made
 from .output import check_file, model_record, progress_bar, show, write_report
 
@@ -35,6 +34,8 @@ def bench(
     used = [model_record(name) for name in model]
     with progress_bar("parts") as progress:
         result = run_bench(model, settings, progress=progress)
+    from ..report.sections import bench_section
+
     config = {**asdict(settings), "weights": used}
     write_report(json, seed=None, config=config, model=used[0], result=result)
     show(*bench_section({"config": config, "result": result}))

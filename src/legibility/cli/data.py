@@ -12,7 +12,7 @@ from tyro.conf import arg
 from ..data.configuration import DatasetConfig, DemonstrationsConfig
 from ..errors import InvalidInputError
 from ..intent.observer import Observer
-from ..report.table import Column, Table
+from ..report.table import Table
 from .options import Folder, OutputFile, Workers, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
 
@@ -161,7 +161,7 @@ def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list
 
 def _bars(name: str, items: str, counts: dict[Any, int]) -> Table:
     """A table of `counts` with a bar for each."""
-    rows = Table(name, items, Column("", left=True), text_columns=0)
+    rows = Table(name, items, "", left=(2,))
     for key, value in counts.items():
         rows.add_row(str(key), str(value), "█" * round(_BAR * value / max(counts.values())))
     return rows

@@ -62,7 +62,7 @@ def doctor(json: OutputFile = None) -> None:
     """
     check_file(json, "JSON file")
     checks = (_machine, _packages, _environments, _weights, _renderers, _ffmpeg)
-    table = Table("part", "name", "state", "remedy", text_columns=4)
+    table = Table("part", "name", "state", "remedy", left=range(4))
     parts: list[Part] = []
     with progress_bar("checks") as progress:
         for number, check in enumerate(checks):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -50,10 +50,7 @@ def dial(
     figure: _Figure = None,
 ) -> None:
     """Measure achieved against asked legibility on held-out scenes."""
-    settings = _checked(configuration.DialConfig, evaluation, json, figure)
-    from ..evaluation.dial import evaluate_dial
-
-    _measure("dial", evaluate_dial, settings, model, json, figure, **vars(workers))
+    _evaluate("dial", configuration.DialConfig, evaluation, model, json, figure, workers)
 
 
 def execution(
@@ -65,10 +62,8 @@ def execution(
     path's displacements in open loop, and the feedback controller of the demonstrations. All share
     scenes, plans and hidden gains.
     """
-    settings = _checked(configuration.ExecutionConfig, evaluation, json)
-    from ..evaluation.execution import evaluate_execution
-
-    _measure("execution", evaluate_execution, settings, model, json, **vars(workers))
+    settings = configuration.ExecutionConfig
+    _evaluate("execution", settings, evaluation, model, json, workers=workers)
 
 
 def table1(
@@ -80,20 +75,16 @@ def table1(
     compared with Diffusion Policy, Legibility Diffuser, the straight line, random search in the
     same and in ten times the time, and the archive's most legible trajectory.
     """
-    settings = _checked(configuration.Table1Config, evaluation, json)
-    from ..evaluation.comparison import evaluate_table1
-
-    _compare("table1", evaluate_table1, settings, workers, contestants, json)
+    settings, model = configuration.Table1Config, contestants.model
+    _evaluate("table1", settings, evaluation, model, json, None, workers, contestants)
 
 
 def unseen(
     evaluation: _Unseen, workers: Workers, contestants: Contestants, json: _Json = None
 ) -> None:
     """The methods of table1 on held-out scenes, relative to each scene's oracle."""
-    settings = _checked(configuration.UnseenConfig, evaluation, json)
-    from ..evaluation.comparison import evaluate_unseen
-
-    _compare("unseen", evaluate_unseen, settings, workers, contestants, json)
+    settings, model = configuration.UnseenConfig, contestants.model
+    _evaluate("unseen", settings, evaluation, model, json, None, workers, contestants)
 
 
 def spectrum(
@@ -106,10 +97,7 @@ def spectrum(
     figure: _Figure = None,
 ) -> None:
     """The paper's figure 3: executed motions over the whole dial in the scene of Table I."""
-    settings = _checked(configuration.SpectrumConfig, evaluation, json, figure)
-    from ..evaluation.spectrum import evaluate_spectrum
-
-    _measure("spectrum", evaluate_spectrum, settings, model, json, figure)
+    _evaluate("spectrum", configuration.SpectrumConfig, evaluation, model, json, figure)
 
 
 def ablations(
@@ -126,7 +114,8 @@ def ablations(
     Small runs are trained in OUT: the reference, without the field, on rank labels, and on other
     numbers of scenes. Interrupted, the same command resumes.
     """
-    settings = _checked(configuration.AblationsConfig, evaluation, json)
+    output.check_file(json, "JSON file")
+    settings = made(configuration.AblationsConfig, evaluation)
     output.check_folder(out, "small runs")
     from ..data.dataset import Dataset
     from ..evaluation.ablations import evaluate_ablations
@@ -139,54 +128,44 @@ def ablations(
     _write("ablations", settings, result, json, model=used)
 
 
-def _checked(settings: type[Any], flags: Any, json: Path | None, figure: Path | None = None) -> Any:
-    """The settings, once they and the output files are checked."""
-    output.check_figure(figure)
-    output.check_file(json, "JSON file")
-    return made(settings, flags)
+_MODULES = {"table1": "comparison", "unseen": "comparison"}
+"""The modules of evaluations that have another name."""
 
 
-def _compare(
+def _evaluate(
     kind: str,
-    evaluate: Callable[..., dict[str, Any]],
-    settings: configuration.Table1Config | configuration.UnseenConfig,
-    workers: Workers,
-    contestants: Contestants,
-    json: Path | None,
-) -> None:
-    """Evaluate the modulator and the baselines."""
-    from ..baselines.pretrained import baseline_names, load_baselines
-    from ..envs import environment_dim
-
-    names = {
-        method: getattr(contestants, method.replace(" ", "_")) or shipped
-        for method, shipped in baseline_names(environment_dim(settings.env)).items()
-    }
-    policies = load_baselines(names)
-    records = [output.model_record(name) for name in names.values()]
-    options = {"baselines": records, "policies": policies, **vars(workers)}
-    _measure(kind, evaluate, settings, contestants.model, json, **options)
-
-
-def _measure(
-    kind: str,
-    evaluate: Callable[..., dict[str, Any]],
-    settings: Any,
+    config: type[Any],
+    flags: Any,
     model: str | None,
     json: Path | None,
     figure: Path | None = None,
-    baselines: list[dict[str, str]] | None = None,
-    **options: Any,
+    workers: Workers | None = None,
+    contestants: Contestants | None = None,
 ) -> None:
-    """Evaluate a model under a progress bar; write, print and draw the result."""
+    """Check everything, evaluate under a progress bar; write, print and draw the result."""
+    output.check_figure(figure)
+    output.check_file(json, "JSON file")
+    settings = made(config, flags)
+    module = importlib.import_module(f"legibility.evaluation.{_MODULES.get(kind, kind)}")
+    from ..baselines.pretrained import baseline_names, load_baselines
     from ..envs import environment_dim
     from ..modulator import Modulator
 
+    options: dict[str, Any] = dict(vars(workers)) if workers else {}
+    weights: dict[str, Any] = {}
+    if contestants:
+        names = {
+            method: getattr(contestants, method.replace(" ", "_")) or shipped
+            for method, shipped in baseline_names(environment_dim(settings.env)).items()
+        }
+        options["policies"] = load_baselines(names)
+        weights["baselines"] = [output.model_record(name) for name in names.values()]
     name = model or MODELS[environment_dim(settings.env)]
-    modulator, used = Modulator.from_pretrained(name), output.model_record(name)
+    modulator, weights["model"] = Modulator.from_pretrained(name), output.model_record(name)
     with output.progress_bar("scenes" if kind == "dial" else "rollouts") as progress:
+        evaluate = getattr(module, f"evaluate_{kind}")
         result = evaluate(modulator, config=settings, **options, progress=progress)
-    _write(kind, settings, result, json, model=used, baselines=baselines)
+    _write(kind, settings, result, json, **weights)
     if figure is not None:
         result_figure(kind, result, figure)
 

@@ -121,7 +121,7 @@ def _plain(value: Any) -> Any:
 
 def table(title: str, *columns: str, text_columns: int = 0) -> Table:
     """An empty table, its first `text_columns` columns aligned left and the others right."""
-    return Table(*columns, title=title, text_columns=text_columns)
+    return Table(*columns, title=title, left=range(text_columns))
 
 
 def show(*items: Table | str) -> None:

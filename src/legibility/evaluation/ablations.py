@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..data.configuration import DatasetConfig
 from ..data.dataset import Dataset, generate
 from ..errors import InvalidInputError
-from ..files import file_hash, write_json
+from ..files import file_hash
 from ..models.configuration import PathDiffuserConfig
 from ..models.pretrained import pretrained_folder, save_stage
 from ..modulator import Modulator
@@ -19,7 +17,7 @@ from ..training.configuration import FIXED_BY_DATA, PathTrainingConfig
 from ..training.loop import Run
 from ..training.path import check_data, train_path
 from ..training.team import Team
-from .configuration import AblationsConfig, DialConfig
+from .configuration import AblationsConfig
 from .dial import evaluate_dial
 
 COLUMNS = {
@@ -39,7 +37,7 @@ class Variant(NamedTuple):
     steps: int | None = None
     guidance: float | None = None
     scenes: int | None = None
-    label: str = "anchored"
+    rank: bool = False
     field: bool = True
 
 
@@ -61,7 +59,7 @@ def variants(config: AblationsConfig, model: PathDiffuserConfig) -> dict[str, Va
     size = config.training_scenes
     rows["reference"] = Variant(f"small run: {size:,} training scenes", scenes=size)
     rows["without-field"] = Variant("small run without the field", scenes=size, field=False)
-    rows["rank-label"] = Variant("small run on rank labels", scenes=size, label="rank")
+    rows["rank-label"] = Variant("small run on rank labels", scenes=size, rank=True)
     for number in sorted(set(config.scene_numbers) - {size}):
         rows[f"scenes-{number}"] = Variant(f"small run: {number:,} training scenes", scenes=number)
     return rows
@@ -80,13 +78,13 @@ def evaluate_ablations(
     """Measure the dial of each of `variants`, training the small runs among them.
 
     A small run has the network of `model` and the settings of `PathTrainingConfig`, apart from its
-    steps. Interrupted, the same call resumes: datasets, runs and rows in `folder` are kept.
+    steps. Interrupted, the same call resumes: datasets and runs in `folder` are kept.
 
     Args:
         model: name of weights that came with the package, or a folder.
         data: labelled trajectories with anchored labels; small runs learn their first scenes.
-        folder: of rank-labelled and validation data, and of each row: checkpoint, log and weights
-            of a small run, and the measured dial.
+        folder: of rank-labelled and validation data, and of each small run's checkpoint, log and
+            weights.
         config: the rows and their measurement.
         workers: processes that make data.
         device: of small runs; a GPU where there is one.
@@ -104,13 +102,20 @@ def evaluate_ablations(
     config, folder = config or AblationsConfig(), Path(folder)
     network = Modulator.from_pretrained(model).config
     rows = variants(config, network)
-    _check(data, network)
+    stream, label = data.config.stream, data.config.observer.label
+    if (stream, label) != ("train", "anchored"):
+        raise InvalidInputError(
+            f"the data must have stream train and label anchored, theirs are {stream} and {label}"
+        )
+    check_data(network, data, data)
     team = Team.join(device)
     parts = {number: data.first(number) for number in {v.scenes for v in rows.values()} if number}
+    part_data, validation = parts[config.training_scenes].config, data.config.for_validation()
+    observer = replace(data.config.observer, label="rank")
     sources = {
-        "validation": data.config.for_validation(),
-        "rank-data": _on_rank_labels(parts[config.training_scenes].config),
-        "rank-validation": _on_rank_labels(data.config.for_validation()),
+        "validation": validation,
+        "rank-data": replace(part_data, observer=observer),
+        "rank-validation": replace(validation, observer=observer),
     }
     steps = config.training_steps * sum(bool(variant.scenes) for variant in rows.values())
     total = steps + sum(s.scenes for s in sources.values()) + len(rows) * config.scenes
@@ -126,70 +131,34 @@ def evaluate_ablations(
         name: generate(source, folder / name, workers=workers, progress=part(source.scenes))
         for name, source in sources.items()
     }
+    network_settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
+    if network.distilled:  # a small run is sampled as a teacher is by default
+        teacher = PathDiffuserConfig()
+        network_settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
+                             "guidance": teacher.guidance}  # fmt: skip
+    training = PathTrainingConfig(steps=config.training_steps)
     result = {}
     for name, variant in rows.items():
         weights = pretrained_folder(model)
         if variant.scenes:
-            rank = variant.label == "rank"
-            weights = _trained(
-                sets["rank-data"] if rank else parts[variant.scenes],
-                sets["rank-validation" if rank else "validation"],
-                replace(network, field=variant.field),
-                PathTrainingConfig(steps=config.training_steps),
-                Run(folder / name, team, part(config.training_steps)),
-            )
+            run, weights = Run(folder / name, team, part(training.steps)), folder / name / "weights"
+            pair = parts[variant.scenes], sets["validation"]
+            if variant.rank:
+                pair = sets["rank-data"], sets["rank-validation"]
+            network_settings["field"] = variant.field
+            trained = train_path(*pair, run, training, **network_settings)
+            save_stage(weights, "path", trained.model, trained.record)
         settings = config.dial(variant.steps, variant.guidance)
-        dial = _measured(weights, settings, folder / name / "dial.json", part(config.scenes))
-        result[name] = {"text": variant.text, "small_run": bool(variant.scenes), **dial}
-        metrics = [f"{key} {dial['overall'][key]['mean']:.4f}" for key in ("spearman", "error")]
+        shown = part(config.scenes)
+        dial = evaluate_dial(Modulator.from_pretrained(weights), settings, progress=shown)
+        overall = dial["overall"]
+        result[name] = {
+            "text": variant.text,
+            "small_run": bool(variant.scenes),
+            "sha256": file_hash(weights / "path.safetensors"),
+            "overall": overall,
+            "plan_ms": dial["plan_ms"],
+        }
+        metrics = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
         progress(done, total, f"{variant.text}: {', '.join(metrics)}")
     return {"rows": result, "data": data.digest}
-
-
-def _check(data: Dataset, model: PathDiffuserConfig) -> None:
-    stream, label = data.config.stream, data.config.observer.label
-    if (stream, label) != ("train", "anchored"):
-        raise InvalidInputError(
-            f"the data must have stream train and label anchored, theirs are {stream} and {label}"
-        )
-    check_data(model, data, data)
-
-
-def _on_rank_labels(config: DatasetConfig) -> DatasetConfig:
-    return replace(config, observer=replace(config.observer, label="rank"))
-
-
-def _trained(
-    data: Dataset,
-    validation: Dataset,
-    network: PathDiffuserConfig,
-    training: PathTrainingConfig,
-    run: Run,
-) -> Path:
-    """Train a small run, or resume it; the folder of its weights."""
-    settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
-    if network.distilled:  # a small run is sampled as a teacher is by default
-        teacher = PathDiffuserConfig()
-        settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
-                     "guidance": teacher.guidance}  # fmt: skip
-    trained = train_path(data, validation, run, training, **settings)
-    save_stage(run.folder / "weights", "path", trained.model, trained.record)
-    return run.folder / "weights"
-
-
-def _measured(
-    weights: Path, config: DialConfig, file: Path, progress: Callable[[int, int], None]
-) -> dict[str, Any]:
-    """The dial of `weights`, kept in `file` and read from there if it is of these settings."""
-    sha256 = file_hash(weights / "path.safetensors")
-    of = {"sha256": sha256, "config": asdict(config)}
-    try:
-        kept = json.loads(file.read_text(encoding="utf-8"))
-        if kept["of"] == json.loads(json.dumps(of)):
-            return kept["result"]
-    except (OSError, ValueError, LookupError, TypeError):
-        pass  # not measured yet
-    dial = evaluate_dial(Modulator.from_pretrained(weights), config, progress=progress)
-    result = {"sha256": sha256, "overall": dial["overall"], "plan_ms": dial["plan_ms"]}
-    write_json(file, {"of": of, "result": result})
-    return result

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..baselines.planners import candidates_within
 from ..checks import Array
 from ..curves import arc_length, resample, spaced
 from ..data.configuration import SceneStream
 from ..envs import vector_type
-from ..errors import InvalidInputError
 from ..intent.metrics import (
     SCORE_POINTS,
     distance_score,
@@ -25,12 +25,13 @@ from ..intent.metrics import (
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
-from ..parallel import pool
+from ..parallel import pool, threads
+from ..rollout import Rollout
 from ..scene import Scene
 from ..seeds import plan_seeds
-from .common import Progress, level_steps, silent, world
+from .common import Progress, level_steps, plan_milliseconds, silent, world
 from .configuration import Table1Config, UnseenConfig
-from .contest import BASELINE, METHODS, OURS, Contest, Job, Motion, search_sizes
+from .contest import BASELINE, METHODS, OURS, Contest, Job
 from .statistics import (
     bootstrap_interval,
     holm,
@@ -116,8 +117,7 @@ def evaluate_table1(
     Rollouts are paired: the n-th of each method has the same robot and the same seeds. The metrics
     do not depend on the number of workers.
 
-    Arguments as of `evaluate_dial`; the model needs both stages, `policies` are the baselines by
-    the name of their method.
+    Arguments as of `evaluate_dial`, and `policies`, the baselines by the name of their method.
 
     Returns:
         `methods`: for each its times and, toward either target, success with interval, end reasons,
@@ -149,9 +149,13 @@ def evaluate_table1(
             methods[name]["targets"][letter] = {
                 "success": _share(executed),
                 "reasons": dict(Counter(motion.reason for motion in executed)),
-                **{m: _mean(array, listed=m in TESTED) for m, array in values.items()},
+                **{
+                    m: {"mean": float(array.mean()), "interval": bootstrap_interval(array)}
+                    for m, array in values.items()
+                },
             }
             for metric, sign in TESTED.items():
+                methods[name]["targets"][letter][metric]["values"] = _rounded(values[metric])
                 cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
     return {
         "env": world(contest.kind),
@@ -236,13 +240,19 @@ def evaluate_unseen(
     }
 
 
+@threads(1)
 def _contest(
-    modulator: Modulator, policies: dict[str, GoalPolicy], config: Table1Config | UnseenConfig
+    modulator: Modulator, policies: dict[str, GoalPolicy], config: Table1Config
 ) -> tuple[Contest, TableScene]:
     """The contest, and the table's scene in which its searches were timed."""
     kind = vector_type(config.env, modulator.config.dim)
     place, size = SCENES[kind.dim], config.search_candidates
-    sizes = (size, 10 * size) if size else search_sizes(modulator, place.scene)
+    sizes = (size, 10 * size)
+    if not size:  # as many curves as fit in the time of a plan, and in ten times that
+        plan = plan_milliseconds(modulator, place.scene, repeats=25)
+        observer = modulator.config.observer
+        few, many = (candidates_within(f * plan, place.scene, 0, observer) for f in (1, 10))
+        sizes = (few, many)
     return Contest(modulator, policies, kind, sizes), place
 
 
@@ -258,21 +268,16 @@ def _jobs(
 
 
 def _values(
-    motions: Sequence[Motion], archives: Iterable[Archive], *units: float
+    motions: Sequence[Rollout], archives: Iterable[Archive], *units: float
 ) -> dict[str, Array]:
     """Each of `METRICS` of `N` motions, `(N,)`."""
     rows = [measured(m.states, a, *units) for m, a in zip(motions, archives, strict=True)]
     return {metric: np.array([row[metric] for row in rows]) for metric in METRICS}
 
 
-def _share(motions: Sequence[Motion]) -> dict[str, Any]:
+def _share(motions: Sequence[Rollout]) -> dict[str, Any]:
     success = np.array([motion.success for motion in motions])
     return {"mean": float(success.mean()), "interval": share_interval(success)}
-
-
-def _mean(values: Array, *, listed: bool) -> dict[str, Any]:
-    content = {"mean": float(values.mean()), "interval": bootstrap_interval(values)}
-    return content | ({"values": _rounded(values)} if listed else {})
 
 
 def _rounded(values: Array) -> list[float]:
@@ -306,17 +311,10 @@ def compare(cells: dict[str, dict[str, Array]]) -> list[dict[str, Any]]:
 
 
 def paper_rows(dim: int) -> dict[str, dict[str, float | None]]:
-    """The paper's own Table I: by the name of a method its numbers, `success_rate`, `L_d_R`, ….
-
-    Raises:
-        InvalidInputError: the dimension is neither 2 nor 3.
-    """
-    if dim not in SCENES:
-        raise InvalidInputError(f"dim must be 2 or 3, got {dim!r}")
+    """The paper's own Table I: by the name of a method its numbers, `success_rate`, `L_d_R`, …."""
     table = Path(__file__).with_name("table1.csv").read_text(encoding="utf-8")
-    rows = {}
-    for row in csv.DictReader(table.splitlines()):
-        if row.pop("environment") == f"{dim}d":
-            name = row.pop("method")
-            rows[name] = {key: float(value) if value else None for key, value in row.items()}
-    return rows
+    return {
+        name: {key: float(value) if value else None for key, value in row.items()}
+        for row in csv.DictReader(table.splitlines())
+        if row.pop("environment") == f"{dim}d" and (name := row.pop("method"))
+    }

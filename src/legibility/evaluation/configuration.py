@@ -92,8 +92,8 @@ class ExecutionConfig(HeldOutScenes):
 
 
 @dataclass(frozen=True)
-class ComparisonConfig:
-    """Settings of a comparison of all methods.
+class Table1Config:
+    """Settings of the evaluation.
 
     Attributes:
         env: environment, 2d, panda or pandagym.
@@ -110,20 +110,11 @@ class ComparisonConfig:
 
     def __post_init__(self) -> None:
         random_seed("seed", self.seed)
-        _check_counts(self, rollouts=1, search_candidates=0)
+        _check_counts(self, rollouts=2, search_candidates=0)
 
 
 @dataclass(frozen=True)
-class Table1Config(ComparisonConfig):
-    """Settings of the evaluation."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_counts(self, rollouts=2)
-
-
-@dataclass(frozen=True)
-class UnseenConfig(ComparisonConfig):
+class UnseenConfig(Table1Config):
     """Settings of the evaluation.
 
     Attributes:
@@ -138,9 +129,8 @@ class UnseenConfig(ComparisonConfig):
     levels: int = 11
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         SceneStream("evaluation", goals=self.goals, seed=self.seed)
-        _check_counts(self, scenes=2, levels=3)
+        _check_counts(self, rollouts=1, search_candidates=0, scenes=2, levels=3)
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
 
 from ..baselines.guided import GuidedPolicy
-from ..baselines.planners import archive_path, candidates_within, search, straight_path
+from ..baselines.planners import archive_path, search, straight_path
 from ..checks import Array
 from ..drivers import Driver, Policy, RobotStates
 from ..envs.block_reach import BlockReachVector
@@ -22,7 +23,7 @@ from ..motion.path import Path
 from ..parallel import Each, threads
 from ..rollout import Rollout
 from ..scene import Scene
-from .common import Progress, counter, execute, gather, plan_milliseconds, silent, world
+from .common import Progress, counter, execute, gather, silent, world
 
 CANDIDATES = 64
 """Paths drawn by the modulator's second row, which takes the best."""
@@ -66,33 +67,13 @@ class Job(NamedTuple):
     plan_seed: int
 
 
-class Motion(NamedTuple):
-    """An executed motion: states `(T, D)` [m], success and end reason."""
-
-    states: Array
-    success: bool
-    reason: str
-
-
-@threads(1)
-def search_sizes(modulator: Modulator, scene: Scene) -> tuple[int, int]:
-    """Curves that fit in the time of a plan in `scene`, and in ten times that, on one core."""
-    plan, observer = plan_milliseconds(modulator, scene, repeats=25), modulator.config.observer
-    few, many = (candidates_within(factor * plan, scene, 0, observer) for factor in (1, 10))
-    return few, many
-
-
 class Contest:
     """All methods on the same scenes, levels, robots and seeds.
 
-    Args:
-        modulator: both stages; stage 2 follows the paths of all methods that have one.
-        policies: the goal-conditioned baselines by the name of their method.
-        kind: vector environment.
-        sizes: curves that the two searches draw.
-
-    Raises:
-        InvalidInputError: there is no stage 2, or a policy moves other robots.
+    Stage 2 of `modulator` follows the paths of all methods that have one; `policies` are the
+    goal-conditioned baselines by the name of their method; `sizes` are the numbers of curves that
+    the two searches draw. Raises InvalidInputError without a stage 2, or if a policy moves robots
+    other than those of `kind`.
     """
 
     def __init__(
@@ -126,20 +107,19 @@ class Contest:
         medians = {}
         for name in METHODS:
             if name != "oracle":
-                times = [self._timed(name, Job(scene, 0, 1.0, seed, seed)) for seed in range(6)]
-                plan, motion = np.median(times[1:], axis=0)
+                times = []
+                for seed in range(6):
+                    job, started = Job(scene, 0, 1.0, seed, seed), time.perf_counter()
+                    paths = self.paths(name, [job], [])
+                    planned = time.perf_counter() - started
+                    driver = _Stopwatch(self._driver(name, [job]))
+                    self._execute([job], paths, driver)
+                    moved = sum(driver.times)
+                    guided = METHODS[name].guided  # the path is not followed
+                    times.append((driver.times[0], moved) if guided else (planned, planned + moved))
+                plan, motion = 1e3 * np.median(times[1:], axis=0)
                 medians[name] = {"plan": float(plan), "motion": float(motion)}
         return medians
-
-    def _timed(self, name: str, job: Job) -> tuple[float, float]:
-        started = time.perf_counter()
-        paths = self.paths(name, [job], [])
-        planned = time.perf_counter() - started
-        driver = _Stopwatch(self._driver(name, [job]))
-        self._execute([job], paths, driver)
-        if METHODS[name].guided:
-            return 1e3 * driver.times[0], 1e3 * sum(driver.times)
-        return 1e3 * planned, 1e3 * (planned + sum(driver.times))
 
     def paths(self, name: str, jobs: Sequence[Job], archives: Sequence[Archive]) -> list[Path]:
         """A path of a method for each of `jobs`; for a policy the straight line, not followed.
@@ -152,11 +132,8 @@ class Contest:
             size = self.sizes[name != "search"]
             return [search(*job[:3], self.observer, size, job.plan_seed) for job in jobs]
         if name in OURS:
-            candidates = CANDIDATES if name == OURS[1] else 1
-            return [
-                self.modulator.plan(*job[:3], seed=job.plan_seed, num_candidates=candidates)
-                for job in jobs
-            ]
+            plan = partial(self.modulator.plan, num_candidates=CANDIDATES if name == OURS[1] else 1)
+            return [plan(*job[:3], seed=job.plan_seed) for job in jobs]
         return [straight_path(*job[:3], self.observer) for job in jobs]
 
     def motions(
@@ -164,7 +141,7 @@ class Contest:
         work: Sequence[tuple[str, Sequence[Job], Sequence[Archive]]],
         each: Each,
         progress: Progress = silent,
-    ) -> list[list[Motion]]:
+    ) -> list[list[Rollout]]:
         """Execute methods' jobs, with the archives of the jobs' scenes, as many at once as fit."""
         items: list[tuple[str, Sequence[Job], list[Path] | None]] = []
         for name, jobs, archives in work:
@@ -179,12 +156,10 @@ class Contest:
         return [list(islice(motions, len(jobs))) for _, jobs, _ in work]
 
     @threads(1)
-    def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Motion]:
+    def _execute_item(self, item: tuple[str, Sequence[Job], list[Path] | None]) -> list[Rollout]:
         name, jobs, paths = item
-        rollouts = self._execute(
-            jobs, paths or self.paths(name, jobs, []), self._driver(name, jobs)
-        )
-        return [Motion(r.states, r.success, r.reason) for r in rollouts]
+        paths = paths or self.paths(name, jobs, [])
+        return self._execute(jobs, paths, self._driver(name, jobs))
 
     def _driver(self, name: str, jobs: Sequence[Job]) -> Driver:
         seed = jobs[0].plan_seed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from ..curves import arc_length, turning
 from ..data.configuration import SceneStream
 from ..envs import vector_type
 from ..modulator import Modulator
-from ..motion.path import Path
 from ..parallel import pool, threads
 from ..seeds import plan_seeds
 from .common import (
@@ -28,42 +27,24 @@ from .common import (
 from .configuration import DialConfig
 from .statistics import rank_correlation, summary
 
-
-class Metric(NamedTuple):
-    """A metric of the dial."""
-
-    text: str
-    best: float | None  # the value nearest to which is best; ±inf if higher or lower is better
-
-
 METRICS = {
-    "spearman": Metric("Spearman correlation of asked and achieved ℓ", np.inf),
-    "error": Metric("mean absolute error of the achieved ℓ", -np.inf),
-    "error_candidates": Metric("the same, with candidates", -np.inf),
-    "at_1": Metric("achieved ℓ when asked 1", 1.0),
-    "at_0": Metric("achieved ℓ when asked 0", 0.0),
-    "at_-1": Metric("achieved ℓ when asked −1", -1.0),
-    "length_ratio_at_0": Metric("length over the straight line's when asked 0", 1.0),
-    "inside": Metric("share of curves inside the workspace", np.inf),
-    "drawn_inside": Metric("the same, before curves are brought back to its walls", np.inf),
-    "beyond_archive": Metric("share of paths asked for ±1 beyond the archive's best", None),
-    "turning": Metric("angle that paths asked for ±1 turn through [rad]", None),
-    "wrong_order": Metric("share of adjacent levels whose mean achieved ℓ does not rise", -np.inf),
-    "spread": Metric("standard deviation of the achieved ℓ among samples of a level", None),
-    "success": Metric("share of rollouts that reached the target", np.inf),
-    "deviation": Metric("mean distance from the planned curve over its length", -np.inf),
+    "spearman": "Spearman correlation of asked and achieved ℓ",
+    "error": "mean absolute error of the achieved ℓ",
+    "error_candidates": "the same, with candidates",
+    "at_1": "achieved ℓ when asked 1",
+    "at_0": "achieved ℓ when asked 0",
+    "at_-1": "achieved ℓ when asked −1",
+    "length_ratio_at_0": "length over the straight line's when asked 0",
+    "inside": "share of curves inside the workspace",
+    "drawn_inside": "the same, before curves are brought back to its walls",
+    "beyond_archive": "share of paths asked for ±1 beyond the archive's best",
+    "turning": "angle that paths asked for ±1 turn through [rad]",
+    "wrong_order": "share of adjacent levels whose mean achieved ℓ does not rise",
+    "spread": "standard deviation of the achieved ℓ among samples of a level",
+    "success": "share of rollouts that reached the target",
+    "deviation": "mean distance from the planned curve over its length",
 }
 """The metrics of a scene; the last two are of executed motions only, some of plans only."""
-
-
-def worst(name: str, values: dict[str, float]) -> float | None:
-    """The value of a metric, of `min` and `max` over scenes, in the worst; None if none is."""
-    best = METRICS[name].best
-    if best is None:
-        return None
-    if np.isinf(best):
-        return values["min" if best > 0 else "max"]
-    return max((values["min"], values["max"]), key=lambda value: abs(value - best))
 
 
 def evaluate_dial(
@@ -124,7 +105,15 @@ def _measure(
     path = modulator.plan(scene, 0, asked, seed=seed, **options)
     zero = np.abs(asked) == np.abs(levels).min()
     if config.closed_loop:
-        score, curves, metrics = _executed(modulator, path, seed, config.env)
+        kind = vector_type(config.env, scene.dim)
+        rollouts = execute_paths(modulator, kind, path, seed, seed)
+        score = np.array([r.score for r in rollouts])
+        curves = np.stack([r.trajectory(200) for r in rollouts])
+        off = [r.deviation.mean() for r in rollouts] / path.length
+        metrics = {
+            "success": float(np.mean([r.success for r in rollouts])),
+            "deviation": float(off.mean()),
+        }
     else:
         score, curves = path.score, path.trajectory(200)
         ends = np.abs(asked) == 1
@@ -157,24 +146,11 @@ def _measure(
         "wrong_order": float((np.diff(means) < 1e-9).mean()),
         "spread": float(table.std(axis=1).mean()),
     }
-    by_level = {
-        "achieved": means,
-        "error_by_level": np.abs(table - levels[:, None]).mean(axis=1),
-        "drawn_inside_by_level": 1 - path.clipped.reshape(table.shape).mean(axis=1),
+    return {
+        "scene": index,
+        "goals": scene.num_goals,
+        **metrics,
+        "achieved": means.tolist(),
+        "error_by_level": np.abs(table - levels[:, None]).mean(axis=1).tolist(),
+        "drawn_inside_by_level": (1 - path.clipped.reshape(table.shape).mean(axis=1)).tolist(),
     }
-    listed = {name: values.tolist() for name, values in by_level.items()}
-    return {"scene": index, "goals": scene.num_goals, **metrics, **listed}
-
-
-def _executed(
-    modulator: Modulator, path: Path, seed: int, name: str | None
-) -> tuple[Array, Array, dict[str, float]]:
-    """Scores `(B,)` and curves `(B, T, D)` [m] of the executed paths, and their metrics."""
-    rollouts = execute_paths(modulator, vector_type(name, path.scene.dim), path, seed, seed)
-    off = [r.deviation.mean() for r in rollouts] / path.length
-    metrics = {
-        "success": float(np.mean([r.success for r in rollouts])),
-        "deviation": float(np.mean(off)),
-    }
-    score = np.array([r.score for r in rollouts])
-    return score, np.stack([r.trajectory(200) for r in rollouts]), metrics

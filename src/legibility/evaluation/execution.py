@@ -35,28 +35,12 @@ from .statistics import bootstrap_interval, rank_correlation, share_interval, su
 
 
 class Row(NamedTuple):
-    """A controller and its conditions.
+    """A controller and its conditions."""
 
-    Attributes:
-        text: name in tables.
-        driver: makes the controller from stage 2 and a seed.
-        disturbance: `push` or `shift`, an option of the environment.
-        replan: whether the robot may replan; one without feedback from the path is off it by
-            design.
-    """
-
-    text: str
-    driver: Callable[[PathPolicy, int], Driver]
-    disturbance: str | None = None
-    replan: bool = True
-
-
-def _replay(policy: PathPolicy, seed: int, gain: float = 1.0) -> Replay:
-    return Replay(policy.config.limit, gain)
-
-
-def _feedback(policy: PathPolicy, seed: int) -> Feedback:
-    return Feedback()
+    text: str  # name in tables
+    driver: Callable[[PathPolicy, int], Driver]  # from stage 2 and a seed
+    disturbance: str | None = None  # push or shift, an option of the environment
+    replan: bool = True  # without feedback from the path a robot is off it by design
 
 
 ROWS = {
@@ -64,16 +48,23 @@ ROWS = {
     "policy, pushed": Row("stage 2, pushed once", Policy, "push"),
     "policy, goal moved": Row("stage 2, the target moved once", Policy, "shift"),
     "goal only": Row("stage 2 without the path", partial(Policy, with_path=False), replan=False),
-    "open loop": Row("open-loop replay of the path's displacements", _replay, replan=False),
-    "open loop, mean gain": Row(
-        "the same, divided by the mean of the hidden gains",
-        partial(_replay, gain=NOMINAL_GAIN),
+    "open loop": Row(
+        "open-loop replay of the path's displacements",
+        lambda policy, seed: Replay(policy.config.limit),
         replan=False,
     ),
-    "feedback": Row("the feedback controller that demonstrated", _feedback),
-    "feedback, pushed": Row("the same, pushed once", _feedback, "push"),
+    "open loop, mean gain": Row(
+        "the same, divided by the mean of the hidden gains",
+        lambda policy, seed: Replay(policy.config.limit, NOMINAL_GAIN),
+        replan=False,
+    ),
+    "feedback": Row("the feedback controller that demonstrated", lambda policy, seed: Feedback()),
+    "feedback, pushed": Row("the same, pushed once", lambda policy, seed: Feedback(), "push"),
 }
 """The rows of the table, by name."""
+
+_Task = tuple[str, list[Scene], Array, list[int], list[Path] | None]
+"""Rollouts of a row to execute together: scenes, levels, seeds, and paths unless they are new."""
 
 _DISTURBANCE = 2.0
 _NEAR = 0.05
@@ -95,15 +86,13 @@ def evaluate_execution(
     Arguments as of `evaluate_dial`; the model needs both stages.
 
     Returns:
-        `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ (of
-        all rollouts, however they ended; not where the target moved, because that label would
-        belong to another scene), the deviation from the curve followed at the time over the length
-        of the first curve, violations, and the environment's counts;
-        `step_ms`: a control step of one robot on one core, policy included, amortised over a chunk;
+        `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ of
+        all rollouts (not where the target moved: a label belongs to a scene), the deviation from
+        the curve followed at the time over the length of the first curve, violations, and the
+        environment's counts; before other work starts, `step_ms`: see `step_milliseconds`,
         `rollouts_per_second`: of stage 2, planning included, the first `at_once` robots on
-        `threads` threads; `env_steps_per_second`: of the environment alone, as many robots, on one
-        core; these three before other work starts;
-        `env`; `disturbance` [m].
+        `threads` threads, `env_steps_per_second`: of the environment alone, as many robots, on one
+        core; `env`; `disturbance` [m].
     """
     policy = modulator.path_policy
     if policy is None:
@@ -124,24 +113,22 @@ def evaluate_execution(
         scores_of = partial(_scores_of, source, modulator.config.observer)
         archives = gather(work, scores_of, range(config.scenes), lambda _: advance(1))
         scenes = [archives[i].scene for i in scene_of.tolist()]
-        batches = [
-            _Batch(scenes[first : first + at_once], levels[first : first + at_once],
-                   plan_seeds(config.seed, first, 3, "demonstration"))
-            for first in range(0, config.rollouts, at_once)
-        ]  # fmt: skip
+        tasks: list[_Task] = []
+        for first in range(0, config.rollouts, at_once):
+            part = slice(first, first + at_once)
+            seeds = plan_seeds(config.seed, first, 3, "demonstration")
+            tasks.append((next(iter(ROWS)), scenes[part], levels[part], seeds, None))
         run = partial(_rollouts, modulator, policy, kind, disturbance)
         started = time.perf_counter()
-        parts = [run((next(iter(ROWS)), batches[0]))]
+        parts = [run(tasks[0])]
         speed = at_once / (time.perf_counter() - started)
         advance(at_once)
         for name, row in ROWS.items():
-            tasks = [(name, batch) for batch in batches[len(parts) :]]
-            parts += gather(work, run, tasks, lambda part: advance(len(part)))
+            tasks = [(name, *task[1:]) for task in tasks]
+            parts += gather(work, run, tasks[len(parts) :], lambda part: advance(len(part)))
             # The plans of the first row are those of all.
-            batches = [
-                batch._replace(paths=[rollout.path for rollout in part])
-                for batch, part in zip(batches, parts, strict=True)
-            ]
+            pairs = zip(tasks, parts, strict=True)
+            tasks = [(*task[:-1], [rollout.path for rollout in part]) for task, part in pairs]
             rows[name] = _metrics(list(chain(*parts)), levels, scene_of, archives, limit)
             parts = []
             if row.disturbance == "shift":
@@ -166,30 +153,20 @@ def _scores_of(source: SceneStream, observer: Observer, index: int) -> Archive:
     return replace(archive, controls=nothing, trajectories=nothing, descriptors=nothing)
 
 
-class _Batch(NamedTuple):
-    """Rollouts of a row that are executed together, on `paths` or on new plans."""
-
-    scenes: list[Scene]
-    levels: Array
-    seeds: list[int]
-    paths: list[Path] | None = None
-
-
 @threads(1)
 def _rollouts(
     modulator: Modulator,
     policy: PathPolicy,
     kind: type[BlockReachVector],
     disturbance: float,
-    task: tuple[str, _Batch],
+    task: _Task,
 ) -> list[Rollout]:
-    row, batch = ROWS[task[0]], task[1]
-    plan_seed, policy_seed, env_seed = batch.seeds
+    name, scenes, levels, (plan_seed, policy_seed, env_seed), paths = task
+    row = ROWS[name]
+    options = {row.disturbance: disturbance} if row.disturbance else {}
     return execute(
-        modulator, kind, batch.scenes, env_seed,
-        {row.disturbance: disturbance} if row.disturbance else {},
-        legibility=batch.levels, seed=plan_seed, paths=batch.paths,
-        driver=row.driver(policy, policy_seed), replan=row.replan,
+        modulator, kind, scenes, env_seed, options, legibility=levels, seed=plan_seed,
+        paths=paths, driver=row.driver(policy, policy_seed), replan=row.replan,
     )  # fmt: skip
 
 

@@ -26,10 +26,7 @@ from .statistics import bootstrap_interval
 
 
 def evaluate_spectrum(
-    modulator: Modulator,
-    config: SpectrumConfig,
-    *,
-    progress: Progress = silent,
+    modulator: Modulator, config: SpectrumConfig, *, progress: Progress = silent
 ) -> dict[str, Any]:
     """Execute motions of all levels in the scene of Table I, toward R and toward G.
 
@@ -101,19 +98,17 @@ class Spectrum:
         Raises:
             InvalidInputError: there are none, or not as many of each level.
         """
-        if not rollouts:
-            raise InvalidInputError("a spectrum needs at least one motion, got none")
         rollouts = sorted(rollouts, key=lambda rollout: rollout.legibility)
-        path = rollouts[0].path
         levels, counts = np.unique([r.legibility for r in rollouts], return_counts=True)
-        if np.ptp(counts):
+        if len(set(counts)) != 1:
             raise InvalidInputError(
-                f"a spectrum needs as many motions of each level, got {counts.tolist()}"
+                "a spectrum needs at least one motion, as many of each level, "
+                f"got {counts.tolist()}"
             )
+        path = rollouts[0].path
         spacing = SCENES[path.scene.dim].spacing
-        costs = [
-            potential_cost(spaced(r.states, spacing), path.field, path.target) for r in rollouts
-        ]
+        states = [spaced(rollout.states, spacing) for rollout in rollouts]
+        costs = [potential_cost(points, path.field, path.target) for points in states]
         return cls(
             path.scene, path.target, path.field, levels,
             [r.states for r in rollouts[:: len(rollouts) // len(levels)]],

@@ -32,14 +32,10 @@ def bootstrap_interval(
 
 
 def paired_test(first: Array, second: Array) -> dict[str, float | list[float]]:
-    """Wilcoxon's signed-rank test of `first` against `second (N,)`, paired, two-sided.
+    """Wilcoxon's signed-rank test (1945) of `first` against `second (N,)`, paired, two-sided.
 
-    Pairs that are equal are left out, as Wilcoxon (1945) does.
-
-    Returns:
-        `p`; `effect`, the matched-pairs rank-biserial correlation (Kerby 2014), 1 where `first` is
-        the greater in every pair; `difference`, the mean of first − second, with its bootstrap
-        `interval`.
+    Returns `p`; `effect`, the matched-pairs rank-biserial correlation (Kerby 2014), 1 where `first`
+    is the greater in every pair; `difference`, the mean of first − second, and its `interval`.
     """
     from scipy.stats import wilcoxon
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
 from ..evaluation.contest import METHODS
 from ..models.provenance import TrainingRecord
-from .bench import threads_of
 from .results import Results, headline_table, well_formed
-from .sections import goals_of
+from .sections import goals_of, threads_of
 from .table import Part, markdown
 
 _HEAD = """\
@@ -27,13 +27,10 @@ _PAGE = "the repository's `docs/results.md`"
 
 
 def render_card(name: str, config: dict[str, Any], results: Results) -> str:
-    """The model card of weights.
+    """The model card of the weights `name`, from the content of their `config.json`.
 
-    Args:
-        name: of the weights.
-        config: the content of their `config.json`.
-        results: of `read_results`. The modulator needs `dial` and, with a stage 2, `closed-loop`
-            and `execution`; Legibility Diffuser needs `tuning`.
+    Of `results`, the modulator needs `dial` and, with a stage 2, `closed-loop` and `execution`;
+    Legibility Diffuser needs `tuning`.
 
     Raises:
         InvalidInputError: a result is missing or of other weights, or the training is not known.
@@ -57,16 +54,14 @@ def _modulator(
 ) -> list[Part]:
     kinds = ["dial", *(["closed-loop", "execution"] if "policy" in records else [])]
     for kind in kinds:
-        document = _document(results, kind, name)
-        for stage in records if kind != "dial" else ["path"]:
-            _check(f"{kind}-{name}", document["model"], name, stage, config)
+        _result(results, kind, name, config, records if kind != "dial" else ["path"])
     path, record = config["path"]["config"], records["path"]
     observer, data = path["observer"], record.data
     stages = f"Stage 1, the path diffuser, turns start, goals and ℓ into {NUM_WAYPOINTS} waypoints."
     stage_2: list[Part] = []
     if "policy" in records:
         stages += " Stage 2, the path-guided policy, turns the path into actions, closed loop."
-        stage_2 = ["## Training of stage 2", *_policy(records["policy"], path["dim"])]
+        stage_2 = ["## Training of stage 2", *_policy(records["policy"])]
     return [
         f"The Legibility Modulator for {path['dim']}-D block reaching. {stages} Load it with "
         f'`legibility.Modulator.from_pretrained("{name}")`.',
@@ -80,11 +75,11 @@ def _modulator(
         *stage_2,
         "## Metrics",
         headline_table({kind: results[kind] for kind in kinds}, {name: "value"}),
-        f"All metrics with their intervals, and the commands that measured them, are in {_PAGE}.",
+        f"All metrics with their intervals are in {_PAGE}.",
         "## Limits",
-        "The observer is a model (a Gaussian around each goal), not a person. The weights were "
-        f"trained in the default workspace of {path['dim']}-D scenes only and know no obstacles. "
-        "Labels are ranks within a scene's archive: the same ℓ is another score in another scene.",
+        "The observer is a model, not a person. The weights were trained in the default workspace "
+        "only and know no obstacles. Labels are ranks within a scene's archive: the same ℓ is "
+        "another score in another scene.",
     ]
 
 
@@ -94,23 +89,16 @@ def _stage_1(path: dict[str, Any], record: TrainingRecord) -> list[Part]:
     teacher, settings = record.teacher, record.training
     if teacher is None:
         return [_trained(record, batch)]
-    first: list[Part] = ["The training of its teacher is not known."]
-    if teacher.training is not None:
-        first = [
-            f"First a teacher, on data of SHA-256 `{teacher.training.digest}`:",
-            _trained(teacher.training, batch),
-        ]
+    first = "The training of its teacher is not known."
+    if known := teacher.training:
+        first = f"The teacher, on data of SHA-256 `{known.digest}`: {_trained(known, batch)}"
     steps = path["sampling_steps"]
     return [
-        *first,
-        f"Then a student that draws in {steps} step{'s' * (steps > 1)} without guidance was "
-        f"distilled from the teacher (SHA-256 `{teacher.sha256}`), which draws in "
-        f"{teacher.sampling_steps} with guidance {teacher.guidance:g}. In every scene the teacher "
-        f"drew {settings['pairs']} paths over the whole dial; from the same noise the student "
-        "learns to draw nearly the same path, to achieve the asked label (weight "
-        f"{settings['score_weight']:g}), and to have no more jerk (weight "
-        f"{settings['jerk_weight']:g}). The time includes the teacher's draws:",
-        _trained(record, batch),
+        first,
+        f"A student that draws in {steps} step{'s' * (steps > 1)} without guidance was distilled "
+        f"from {settings['pairs']} paths a scene of the teacher (SHA-256 `{teacher.sha256}`), "
+        f"which draws in {teacher.sampling_steps} with guidance {teacher.guidance:g}: "
+        f"{_trained(record, batch)}",
     ]
 
 
@@ -120,59 +108,48 @@ def _baseline(
     method = next((m for m in METHODS if name.startswith(m.replace(" ", "-"))), None)
     if method is None:
         raise InvalidInputError(f"the name {name} is not that of a method")
-    shape, record = config["goal"]["config"], records["goal"]
+    shape = config["goal"]["config"]
     parts: list[Part] = [
         f"{METHODS[method].text} for {shape['dim']}-D block reaching, a baseline of the Legibility "
         f"Modulator: two states and a goal to a chunk of {shape['chunk']} actions, of which "
         f"{shape['execute']} are executed.",
         "## Training",
-        *_policy(record, shape["dim"]),
+        *_policy(records["goal"]),
     ]
     if shape["guidance"] > 0:
-        tuning = _document(results, "tuning", name)
-        _check(f"tuning-{name}", tuning["model"], name, "goal", config)
-        parts += ["## Guidance", _tuned(name, shape, tuning["result"]["tuning"])]
+        tuning = _result(results, "tuning", name, config, ["goal"])["tuning"]
+        chosen = {key: shape[key] for key in ("guidance", "guidance_decay", "guidance_share")}
+        best = next((row for row in tuning if chosen.items() <= row.items()), None)
+        if best is None:
+            raise InvalidInputError(f"tuning-{name}.json has no row of the guidance {chosen}")
+        needed = min(0.99, max(row["success"] for row in tuning))
+        parts += [
+            "## Guidance",
+            "ε̂ = (1 + w) ε(g*) − a w ε(g⁻) − (1 − a) w ε(∅), w ← γ w after every executed chunk "
+            "(Bronars, Cheng and Xu 2024), with the mean over several g⁻. Of "
+            f"{len(tuning)} combinations on validation scenes (`results/tuning-{name}.json`), w = "
+            f"{best['guidance']:g}, γ = {best['guidance_decay']:g}, a = {best['guidance_share']:g} "
+            f"is the most legible that reaches the goal in {needed:.0%} of them: "
+            f"{best['success']:.1%} success and a mean achieved ℓ of {best['achieved']:.3f}.",
+        ]
     return [
         *parts,
         "## Metrics",
         f"Its comparison with the modulator is in {_PAGE}.",
         "## Limits",
-        "It is trained on stage 2's demonstrations, which reach goals in many random scenes in all "
-        "ways, with stage 2's budget and network size, and not, as by its authors, on "
-        "demonstrations of a single scene; it does not reach the paper's numbers.",
+        "It is trained on stage 2's demonstrations in many random scenes, and not, as by its "
+        "authors, on those of a single scene; it does not reach the paper's numbers.",
     ]
 
 
-def _tuned(name: str, shape: dict[str, Any], tuning: list[dict[str, float]]) -> str:
-    """The chosen guidance and the rule of the choice."""
-    chosen = {key: shape[key] for key in ("guidance", "guidance_decay", "guidance_share")}
-    best = next((row for row in tuning if chosen.items() <= row.items()), None)
-    if best is None:
-        raise InvalidInputError(f"tuning-{name}.json has no row of the chosen guidance {chosen}")
-    needed = min(0.99, max(row["success"] for row in tuning))
-    most = max(tuning, key=lambda row: row["achieved"])
-    return (
-        "ε̂ = (1 + w) ε(g*) − a w ε(g⁻) − (1 − a) w ε(∅), w ← γ w after every executed chunk "
-        "(Bronars, Cheng and Xu 2024), with the mean over several g⁻. Of "
-        f"{len(tuning)} combinations tried on validation scenes (`results/tuning-{name}.json`), "
-        f"this is the most legible one that reaches the goal in {needed:.0%} of them: w = "
-        f"{best['guidance']:g}, γ = {best['guidance_decay']:g}, a = {best['guidance_share']:g}, "
-        f"with {best['success']:.1%} success and a mean achieved ℓ of {best['achieved']:.3f}. The "
-        f"most legible of all (w = {most['guidance']:g}, γ = {most['guidance_decay']:g}, a = "
-        f"{most['guidance_share']:g}) achieves {most['achieved']:.3f} with {most['success']:.1%} "
-        "success."
-    )
-
-
-def _policy(record: TrainingRecord, dim: int) -> list[Part]:
+def _policy(record: TrainingRecord) -> list[Part]:
     """The demonstrations and the training of a policy."""
     shown = record.demonstrations or {}
     scenes = shown["demonstrated"] or record.data["scenes"]
     return [
         f"{shown['number']:,} demonstrations, {shown['demonstrations']} in each of {scenes:,} "
-        "scenes of the same data: a feedback controller follows paths of the archive in "
-        f"{'BlockReach2D' if dim == 2 else 'PandaBlockReach, on MuJoCo'}, with noise of "
-        f"{1e3 * shown['noise']:g} mm a step and, in {shown['pushed']:.0%}, a push of "
+        "scenes of the same data: a feedback controller follows paths of the archive, with noise "
+        f"of {1e3 * shown['noise']:g} mm a step and, in {shown['pushed']:.0%}, a push of "
         f"{1e2 * shown['push']:g} cm. SHA-256 over the shards: `{record.digest}`.",
         _trained(record, "{batch:,} moments of demonstrations"),
     ]
@@ -181,22 +158,20 @@ def _policy(record: TrainingRecord, dim: int) -> list[Part]:
 def _trained(record: TrainingRecord, batch: str) -> str:
     """The size and the duration of a training; `batch` describes a batch."""
     settings = record.training
-    alone = settings["steps"] * record.step_seconds / 60
     return (
         f"{record.parameters:,} parameters; {settings['steps']:,} batches of "
         f"{batch.format(**settings)}, seed {settings['seed']}, in {record.seconds / 60:.0f} "
-        f"minutes on {record.device} ({threads_of(vars(record))}, PyTorch {record.torch}), "
-        "validation included. The machine is shared: at the speed of the fastest tenth of the log "
-        f"the batches alone take {alone:.0f} minutes."
+        f"minutes on {record.device} ({threads_of(vars(record))}, PyTorch {record.torch})."
     )
 
 
-def _document(results: Results, kind: str, name: str) -> dict[str, Any]:
-    if name not in results.get(kind, {}):
+def _result(
+    results: Results, kind: str, name: str, config: dict[str, Any], stages: Iterable[str]
+) -> dict[str, Any]:
+    """A result of the weights, whose hashes are checked."""
+    document = results.get(kind, {}).get(name)
+    if document is None:
         raise InvalidInputError(f"there is no {kind}-{name}.json beside the other results")
-    return results[kind][name]
-
-
-def _check(stem: str, used: dict[str, str], name: str, stage: str, config: dict[str, Any]) -> None:
-    if used.get(stage) != config[stage]["sha256"]:
-        raise InvalidInputError(f"{stem}.json is a result of other weights than {name}")
+    if any(document["model"].get(stage) != config[stage]["sha256"] for stage in stages):
+        raise InvalidInputError(f"{kind}-{name}.json is a result of other weights than {name}")
+    return document["result"]

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import InvalidInputError
 from ..files import read_document
-from .bench import bench_section, measured
-from .comparison import table1_section, unseen_section
 from .sections import (
+    NOTES,
     ablations_section,
+    bench_section,
     dial_section,
     execution_section,
     percent,
     spectrum_section,
+    table1_section,
+    unseen_section,
 )
-from .table import Part, Table, markdown, number
+from .table import Part, Table, markdown, number, three_digits
 
 Document = dict[str, Any]
 Results = dict[str, dict[str, Document]]
@@ -82,90 +83,70 @@ def section_of(kind: str, name: str, document: Document) -> list[Part]:
 
 
 def render_page(results: Results, pictures: str) -> str:
-    """All results as one page of Markdown.
-
-    Args:
-        results: of `read_results`.
-        pictures: folder of the pictures, relative to the page.
+    """All results as one page of Markdown; `pictures` is their folder, relative to the page.
 
     Raises:
         InvalidInputError: a file holds something else than its name says.
     """
-    contents, body = [], []
-    for kind, (title, _, picture) in KINDS.items():
-        documents = results.get(kind, {})
-        if documents:
-            contents.append(_entry(title))
-            body.append(f"## {title}")
-        for name, document in documents.items():
-            heading = f"{title}: {name}"
-            contents.append("  " + _entry(heading, name))
-            body += [f"### {heading}", markdown(section_of(kind, name, document))]
-            if picture:
-                body.append(f"![{picture}]({pictures}/{kind}-{name}.png)")
-            body.append(f"Measured by `{document['command']}`.")
     parts = [
         "# Results",
         "Rendered by `legibility report` from the JSON files in `results/`, each of which holds "
         "the command,\nthe seed and the hashes of the weights. `make results` measures them again.",
-        "\n".join(contents),
     ]
     headline = headline_table(results)
     if headline.rows:
         parts += ["## At a glance", headline.markdown()]
-    return "\n\n".join([*parts, *body]) + "\n"
-
-
-def _entry(heading: str, text: str = "") -> str:
-    """A line of the table of contents, linked as GitHub names headings."""
-    anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-    return f"* [{text or heading}](#{anchor})"
+    parts += ["## Metrics", markdown(NOTES)]
+    for kind, (title, _, picture) in KINDS.items():
+        if kind in results:
+            parts.append(f"## {title}")
+        for name, document in results.get(kind, {}).items():
+            parts += [f"### {title}: {name}", markdown(section_of(kind, name, document))]
+            if picture:
+                parts.append(f"![{picture}]({pictures}/{kind}-{name}.png)")
+            parts.append(f"Measured by `{document['command']}`.")
+    return "\n\n".join(parts) + "\n"
 
 
 def headline_table(results: Results, models: dict[str, str] | None = None) -> Table:
-    """The few metrics to read first; what was not measured is left out.
+    """The few metrics to read first, of shipped weights or of `models`, with their heads by name.
 
-    Args:
-        results: of `read_results`.
-        models: the heads of the columns by the model's name; `plane` and `arm` if not given.
+    Rows that were not measured are left out.
     """
     models = models or {"block-reach-2d": "plane", "panda-block-reach": "arm"}
     table = Table("metric", *models.values())
-    rows: dict[str, tuple[str, Callable[[Any], str]]] = {
-        "Spearman correlation of asked and achieved ℓ": ("dial", _mean("spearman")),
-        "mean absolute error of ℓ": ("dial", _mean("error")),
-        "achieved ℓ when asked 1": ("dial", _mean("at_1")),
-        "achieved ℓ when asked −1": ("dial", _mean("at_-1")),
-        "error of ℓ of the executed motion": ("closed-loop", _mean("error")),
-        "success of executed motions": (
-            "execution", lambda result: percent(result["rows"]["policy"]["success"]["mean"])
-        ),
-    }  # fmt: skip
+
+    def add(text: str, kind: str, cell: Callable[[Any], str]) -> None:
+        documents = results.get(kind, {})
+        if documents.keys() & models.keys():
+            cells = (cell(documents[m]["result"]) if m in documents else "–" for m in models)
+            table.add_row(text, *cells)
+
+    def mean(metric: str) -> Callable[[Any], str]:
+        return lambda result: number(result["overall"][metric]["mean"], 4)
+
     with well_formed("a result is not what `legibility` writes"):
-        for text, (kind, cell) in rows.items():
-            documents = results.get(kind, {})
-            if documents.keys() & models.keys():
-                cells = (cell(documents[m]["result"]) if m in documents else "–" for m in models)
-                table.add_row(text, *cells)
-        if bench := results.get("bench", {}).get("cpu"):
-            plans = [_plan(bench["result"]["measurements"], name) for name in models]
-            if any(plans):
-                text = "one plan on one core, PyTorch / ONNX [ms]"
-                table.add_row(text, *(plan or "–" for plan in plans))
+        add("Spearman correlation of asked and achieved ℓ", "dial", mean("spearman"))
+        add("mean absolute error of ℓ", "dial", mean("error"))
+        add("achieved ℓ when asked 1", "dial", mean("at_1"))
+        add("achieved ℓ when asked −1", "dial", mean("at_-1"))
+        add("error of ℓ of the executed motion", "closed-loop", mean("error"))
+        add(
+            "success of executed motions",
+            "execution",
+            lambda result: percent(result["rows"]["policy"]["success"]["mean"]),
+        )
+        bench = results.get("bench", {}).get("cpu", {"result": {"measurements": []}})
+        plans = {
+            (row["model"], row["backend"]): three_digits(row["median"])
+            for row in bench["result"]["measurements"]
+            if row["metric"] == "plan_one_core_ms" and row["model"] in models
+        }
+        if plans:
+            cells = [[plans.get((m, b), "–") for b in ("torch", "onnx")] for m in models]
+            shown = map(" / ".join, cells)
+            table.add_row("one plan on one core, PyTorch / ONNX [ms]", *shown)
     return table
-
-
-def _mean(metric: str) -> Callable[[Any], str]:
-    return lambda result: number(result["overall"][metric]["mean"], 4)
-
-
-def _plan(measurements: list[dict[str, Any]], model: str) -> str:
-    """Times of a plan on one core by both backends; empty if there are none."""
-    medians = [
-        measured(measurements, metric="plan_one_core_ms", model=model, backend=backend).split()[0]
-        for backend in ("torch", "onnx")
-    ]
-    return "" if set(medians) == {"–"} else " / ".join(medians)
 
 
 @contextlib.contextmanager

@@ -8,8 +8,8 @@ import itertools
 import math
 import re
 import textwrap
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterable
+from typing import Any
 
 
 class Bold(str):
@@ -18,34 +18,17 @@ class Bold(str):
     __slots__ = ()
 
 
-class Column(NamedTuple):
-    """The head of a column, aligned `left` or right, under the `group` of its neighbours if any."""
-
-    name: str
-    left: bool = False
-    group: str = ""
-
-    @property
-    def text(self) -> str:
-        """The head in one line."""
-        return f"{self.group}: {self.name}" if self.group else self.name
-
-
 class Table:
     """Columns and rows of text.
 
     Args:
-        columns: heads; a text stands for a column without a group.
+        columns: heads; those of a group begin with its name, `GROUP: NAME`.
         title: shown above the table, not in LaTeX and CSV.
-        text_columns: how many of the first columns that are given as text are aligned left.
+        left: indices of the columns that are aligned left.
     """
 
-    def __init__(self, *columns: str | Column, title: str = "", text_columns: int = 1) -> None:
-        self.columns = [
-            c if isinstance(c, Column) else Column(c, left=i < text_columns)
-            for i, c in enumerate(columns)
-        ]
-        self.title = title
+    def __init__(self, *columns: str, title: str = "", left: Collection[int] = (0,)) -> None:
+        self.columns, self.title, self.left = columns, title, left
         self.rows: list[tuple[str, ...]] = []
         self.sections: set[int] = set()
 
@@ -55,8 +38,11 @@ class Table:
         self.rows.append(cells)
 
     def add_section(self) -> None:
-        """Draw a line below the last row, on the terminal and in LaTeX."""
+        """Draw a line below the last row on the terminal."""
         self.sections.add(len(self.rows))
+
+    def _aligned(self, left: str, right: str) -> list[str]:
+        return [left if i in self.left else right for i in range(len(self.columns))]
 
     def rich(self) -> Any:
         """The table for `rich.console.Console.print`."""
@@ -64,10 +50,9 @@ class Table:
         from rich.text import Text
 
         title = Text(self.title) if self.title else None
-        heads = any(column.text for column in self.columns)
-        result = rich.table.Table(title=title, title_justify="left", show_header=heads)
-        for column in self.columns:
-            result.add_column(Text(column.text), justify="left" if column.left else "right")
+        result = rich.table.Table(title=title, title_justify="left", show_header=any(self.columns))
+        for column, side in zip(self.columns, self._aligned("left", "right"), strict=True):
+            result.add_column(Text(column), justify=side)  # pyright: ignore[reportArgumentType]
         for index, row in enumerate(self.rows):
             if index in self.sections:
                 result.add_section()
@@ -77,8 +62,8 @@ class Table:
     def markdown(self) -> str:
         """The table in GitHub's Markdown, below its title in bold."""
         lines = [
-            [column.text for column in self.columns],
-            ["---" if column.left else "---:" for column in self.columns],
+            self.columns,
+            self._aligned("---", "---:"),
             *([f"**{c}**" if isinstance(c, Bold) else c for c in row] for row in self.rows),
         ]
         lines = [f"| {' | '.join(c.replace('|', '∣') for c in line)} |" for line in lines]
@@ -86,32 +71,28 @@ class Table:
 
     def latex(self, comment: str = "") -> str:
         """The table as a `tabular` for booktabs, below `comment`."""
+        heads = [column.rpartition(": ") for column in self.columns]
         groups, rules, first = [], "", 1
-        for group, columns in itertools.groupby(self.columns, key=lambda column: column.group):
+        for group, columns in itertools.groupby(group for group, _, _ in heads):
             size = len(list(columns))
-            if group:
-                groups.append(rf"\multicolumn{{{size}}}{{c}}{{{_latex(group)}}}")
-                rules += rf"\cmidrule(lr){{{first}-{first + size - 1}}}"
-            else:
-                groups += [""] * size
+            groups.append(rf"\multicolumn{{{size}}}{{c}}{{{_latex(group)}}}")
+            rules += rf"\cmidrule(lr){{{first}-{first + size - 1}}}" if group else ""
             first += size
-        lines = [f"% {comment}"] if comment else []
-        lines += [
-            rf"\begin{{tabular}}{{{''.join('l' if c.left else 'r' for c in self.columns)}}}",
+        lines = [
+            f"% {comment}",
+            rf"\begin{{tabular}}{{{''.join(self._aligned('l', 'r'))}}}",
             r"\toprule",
             *([" & ".join(groups) + r" \\", rules] if rules else []),
-            " & ".join(_latex(column.name) for column in self.columns) + r" \\",
+            " & ".join(_latex(name) for _, _, name in heads) + r" \\",
+            r"\midrule",
+            *(" & ".join(map(_latex, row)) + r" \\" for row in self.rows),
         ]
-        for index, row in enumerate(self.rows):
-            lines += [r"\midrule"] * (index == 0 or index in self.sections)
-            lines.append(" & ".join(map(_latex, row)) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
     def csv(self) -> str:
         """The table as CSV with a header."""
         text = io.StringIO()
-        rows = [tuple(column.text for column in self.columns), *self.rows]
-        csv.writer(text, lineterminator="\n").writerows(rows)
+        csv.writer(text, lineterminator="\n").writerows([self.columns, *self.rows])
         return text.getvalue()
 
 
@@ -143,6 +124,13 @@ def significant(value: float) -> str:
     if not math.isfinite(value):
         return "never" if value > 0 else "–"
     return f"{value:.3g}" if 0 < abs(value) < 0.1 else number(value)
+
+
+def three_digits(value: float) -> str:
+    """Three significant digits, more of a whole number."""
+    if abs(value) >= 100:
+        return f"{value:,.0f}"
+    return f"{value:.2e}" if 0 < abs(value) < 0.01 else f"{value:#.3g}".rstrip(".")
 
 
 _SYMBOLS = str.maketrans({
