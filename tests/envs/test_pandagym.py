@@ -47,6 +47,7 @@ class TestSimulator:
         assert first[0]["position"] == pytest.approx(second[0]["position"], abs=1e-3)
 
     def test_pictures(self):
+        pytest.importorskip("mujoco", reason="pictures are NOT TESTED: the extra panda is missing")
         env = PandaGymBlockReachVector(2, render_mode="rgb_array")
         other = PandaGymBlockReachVector(2)
         for each in (env, other):
