@@ -274,30 +274,22 @@ def _colors(path: Path) -> dict[str, list[float]]:
 
 
 def _split(text: str) -> dict[str, dict[str, Any]]:
-    """MuJoCo's mesh arrays for each material of an OBJ file whose corners have normals."""
-    points: dict[str, list[list[float]]] = {"v": [], "vn": []}
-    triangles: dict[str, list[Any]] = {}
-    material = ""
+    """MuJoCo's mesh arrays for each material of an OBJ file."""
+    vertices, triangles, material = [], {}, ""
     for name, *words in filter(None, map(str.split, text.splitlines())):
-        if name in points:
-            points[name].append([float(word) for word in words])
+        if name == "v":
+            vertices.append([float(word) for word in words])
         elif name == "usemtl":
             material = words[0]
         elif name == "f":
-            first, *others = [[int(index) for index in word.split("/")[::2]] for word in words]
-            triangles.setdefault(material, []).extend(
-                [first, b, c] for b, c in itertools.pairwise(others)
-            )
-    vertices, normals = map(np.array, points.values())
+            first, *others = [int(word.split("/")[0]) - 1 for word in words]
+            fan = [(first, b, c) for b, c in itertools.pairwise(others)]
+            triangles.setdefault(material, []).extend(fan)
     meshes = {}
-    for material, corners in triangles.items():
-        pairs, faces = np.unique(np.reshape(corners, (-1, 2)) - 1, axis=0, return_inverse=True)
-        meshes[material] = {
-            "uservert": vertices[pairs[:, 0]].ravel(),
-            "usernormal": normals[pairs[:, 1]].ravel(),
-            "userface": faces.ravel(),
-            "userfacenormal": faces.ravel(),
-        }
+    for material, faces in triangles.items():
+        used, faces = np.unique(faces, return_inverse=True)
+        corners = np.array(vertices)[used]
+        meshes[material] = {"uservert": corners.ravel(), "userface": faces.ravel()}
     return meshes
 
 
