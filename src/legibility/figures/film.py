@@ -24,7 +24,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import KDTree
 
 from ..envs.colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
@@ -273,40 +272,30 @@ class _Motion:
 
 
 def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
-    palette = _Palette(final)  # one for all frames, so that the file holds it once
-    frames = map(palette.image, pictures)
-    hold = [palette.image(final)] * round(_HOLD / seconds)  # stored as one long frame
+    palette = _palette(final)  # one for all frames, so that the file holds it once
+
+    def image(picture: Picture) -> Image.Image:
+        return Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+
+    hold = [image(final)] * round(_HOLD / seconds)  # stored as one long frame
+    frames = itertools.chain(map(image, pictures), hold)
     next(frames).save(
-        file, format="GIF", save_all=True, append_images=itertools.chain(frames, hold),
-        duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
+        file, format="GIF", save_all=True, append_images=frames, duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
     )  # fmt: skip
 
 
-class _Palette:
-    """255 colours of a picture: the most frequent exactly, and some for the rest."""
-
-    def __init__(self, picture: Picture) -> None:
-        image = Image.fromarray(picture)
-        counts: Any = image.getcolors(picture.size)
-        exact = [color for _, color in sorted(counts, reverse=True)[:_EXACT]]
-        rest = image.quantize(255 - len(exact), Image.Quantize.MAXCOVERAGE).getpalette()
-        more = np.reshape(np.array(rest, dtype=np.uint8), (-1, 3))
-        self.colors = np.concatenate([np.array(exact, dtype=np.uint8), more])[:255]
-        # The nearest colour of each bin of colours, by its middle.
-        middles = np.indices((32, 64, 32)).reshape(3, -1).T * 255 / (31, 63, 31)
-        self.nearest: Picture = np.asarray(KDTree(self.colors).query(middles)[1], dtype=np.uint8)
-        self.nearest[_bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
-
-    def image(self, picture: Picture) -> Image.Image:
-        """The picture `(H, W, 3)` in these colours."""
-        image = Image.fromarray(self.nearest[_bins(picture)])
-        image.putpalette(self.colors.tobytes())
-        return image
-
-
-def _bins(colors: Picture) -> NDArray[np.uint16]:
-    red, green, blue = np.moveaxis(colors.astype(np.uint16), -1, 0)
-    return (red >> 3) << 11 | (green >> 2) << 5 | blue >> 3
+def _palette(picture: Picture) -> Image.Image:
+    """A palette of 255 colours of a picture: the most frequent exactly, and some for the rest."""
+    image = Image.fromarray(picture)
+    counts: Any = image.getcolors(picture.size)
+    exact = [color for _, color in sorted(counts, reverse=True)[:_EXACT]]
+    rest: Any = image.quantize(255 - len(exact), Image.Quantize.MAXCOVERAGE).getpalette()
+    colors = {}  # one of each bin, as Pillow finds the nearest of a bin only
+    for color in [*exact, *np.reshape(rest, (-1, 3)).tolist()]:
+        colors.setdefault(tuple(part // 8 for part in color), color)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([part for color in colors.values() for part in color])
+    return palette
 
 
 def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
