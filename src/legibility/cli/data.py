@@ -102,7 +102,7 @@ def _make(
 
 
 def _draw(dataset: Dataset, figure: Path) -> None:
-    from ..figures.plan import archive_figure
+    from ..figures.paper import archive_figure
 
     config = dataset.config
     archive = config.source.archive(0, config.observer, config.cells)

@@ -27,6 +27,10 @@ def is_vector(env: Any) -> bool:
     return isinstance(env, gymnasium.vector.VectorEnv)
 
 
+def _gathered(name: str, doc: str) -> Any:
+    return property(lambda fleet: fleet._gather(name), doc=doc)
+
+
 class Fleet:
     """The `B` robots of an environment, whichever wrappers it stands in.
 
@@ -73,30 +77,15 @@ class Fleet:
         """The current scene of each robot."""
         return [scene for part in self._parts for scene in part.scenes]
 
-    @property
-    def targets(self) -> NDArray[np.int64]:
-        """`(B,)`, index of the intended goal."""
-        return self._gather("targets")
+    targets = _gathered("targets", "`(B,)`, index of the intended goal.")
+    positions = _gathered("positions", "`(B, D)` [m].")
+    joint_angles = _gathered("joint_angles", "`(B, J)` [rad]; J = 0 for a point in 2-D.")
+    wall_contacts = _gathered("wall_contact", "`(B,)`, whether a wall stopped the last step.")
 
     @property
     def goals(self) -> Array:
         """`(B, D)` [m], the intended goals."""
         return np.stack([s.goals[t] for s, t in zip(self.scenes, self.targets, strict=True)])
-
-    @property
-    def positions(self) -> Array:
-        """`(B, D)` [m]."""
-        return self._gather("positions")
-
-    @property
-    def joint_angles(self) -> Array:
-        """`(B, J)` [rad]; J = 0 for a point in the plane."""
-        return self._gather("joint_angles")
-
-    @property
-    def wall_contacts(self) -> NDArray[np.bool_]:
-        """`(B,)`, whether a wall stopped the robot in the last step."""
-        return self._gather("wall_contact")
 
     @property
     def counts(self) -> dict[str, NDArray[np.int64]]:
@@ -117,14 +106,9 @@ class Fleet:
     def step(
         self, actions: Array, active: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Send `actions (B, D)` [m].
+        """Send `actions (B, D)` [m] to the robots that are `active (B,)`.
 
-        Args:
-            actions: displacements.
-            active: `(B,)`, the robots whose episode goes on.
-
-        Returns:
-            Whether each has succeeded and whether its episode has ended, `(B,)` each.
+        Return whether each has succeeded and whether its episode has ended, `(B,)` each.
 
         Raises:
             InvalidInputError: an active robot did not receive its action.

@@ -280,7 +280,8 @@ def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seco
     hold = [image(final)] * round(_HOLD / seconds)  # stored as one long frame
     frames = itertools.chain(map(image, pictures), hold)
     next(frames).save(
-        file, format="GIF", save_all=True, append_images=frames, duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
+        file, format="GIF", save_all=True, append_images=frames,
+        duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
     )  # fmt: skip
 
 
