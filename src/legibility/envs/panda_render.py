@@ -24,7 +24,7 @@ from .arm import BLOCK
 from .colors import GOALS, INK
 from .panda_model import import_mujoco, physics, specification
 
-__all__ = ["FRONT", "Camera", "Trail", "arm_image"]
+__all__ = ["Trail", "arm_image"]
 
 _STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
 _SMOOTH, _FINE = 2, 3
@@ -38,24 +38,9 @@ _LINKS = (*(f"link{i}" for i in range(8)), "hand", "finger")
 _WHITE = [0.95, 0.95, 0.95]
 
 
-class Camera(NamedTuple):
-    """The camera of a picture, whose vertical field of view is 30°.
-
-    Attributes:
-        azimuth: of the view's direction [degrees].
-        elevation: of the view's direction; negative looks down [degrees].
-        distance: from `lookat` [m].
-        lookat: the middle of the picture [m].
-    """
-
-    azimuth: float = 140.0
-    elevation: float = -22.0
-    distance: float = 2.35
-    lookat: tuple[float, float, float] = (-0.25, 0.0, 0.22)
-
-
-FRONT = Camera(150.0, -28.0, 2.1, (-0.22, 0.0, 0.25))
-"""Nearer than the default and more from the front."""
+_AZIMUTH, _ELEVATION, _DISTANCE, _LOOKAT = 150.0, -28.0, 2.1, (-0.22, 0.0, 0.25)
+"""The camera: direction of its view [degrees], and distance from the middle of the picture [m].
+Its vertical field of view is 30°."""
 
 
 class Trail(NamedTuple):
@@ -79,7 +64,6 @@ def arm_image(
     *,
     trails: Iterable[Trail] = (),
     size: tuple[int, int] = (480, 480),
-    camera: Camera = Camera(),  # noqa: B008 (immutable)
 ) -> NDArray[np.uint8]:
     """The arm among a scene's blocks, `(H, W, 3)`.
 
@@ -92,7 +76,6 @@ def arm_image(
         angles: `(7,)` [rad], of the arm's joints.
         trails: trajectories drawn as tubes, 5000 points in all at most.
         size: width and height [pixels].
-        camera: the camera.
     """
     width, height = (
         count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
@@ -104,7 +87,7 @@ def arm_image(
             f"blocks and trails must be at most {_MAX_SHAPES} pieces, got {pieces}"
         )
     renderer = _renderer()
-    shapes = _shapes(_looks() if renderer else physics(), angles, camera, boxes, tubes)
+    shapes = _shapes(_looks() if renderer else physics(), angles, boxes, tubes)
     if renderer is None:
         return _sketch(shapes, width, height)
     return renderer.draw(shapes, width, height)
@@ -136,16 +119,15 @@ def _ring(scene: Scene, target: int | None) -> Iterator[Trail]:
         yield Trail(middle + _RING * circle, _rgba(INK), 0.0016)
 
 
-def _shapes(
-    model: Any, angles: Array, camera: Camera, boxes: Iterable[Any], tubes: Iterable[Trail]
-) -> Any:
+def _shapes(model: Any, angles: Array, boxes: Iterable[Any], tubes: Iterable[Trail]) -> Any:
     """The arm, the boxes and the tubes as MuJoCo's `MjvScene`, which needs no OpenGL."""
     mujoco = import_mujoco()
     data, shapes = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=_MAX_SHAPES + 500)
     data.qpos[:] = angles
     mujoco.mj_forward(model, data)
     view, option = mujoco.MjvCamera(), mujoco.MjvOption()
-    view.azimuth, view.elevation, view.distance, view.lookat[:] = camera
+    view.azimuth, view.elevation, view.distance = _AZIMUTH, _ELEVATION, _DISTANCE
+    view.lookat[:] = _LOOKAT
     option.geomgroup[3] = 1
     everything = mujoco.mjtCatBit.mjCAT_ALL
     mujoco.mjv_updateScene(model, data, option, None, view, everything, shapes)

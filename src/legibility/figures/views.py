@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from ..checks import Array
 from ..envs.colors import INK
-from ..envs.panda_render import FRONT, Trail, arm_image
+from ..envs.panda_render import Trail, arm_image
 from ..rollout import Rollout
 from .scene_axes import flat, scene_axes
 from .style import DOTTED
@@ -84,7 +84,7 @@ class ArmView:
             trails.append(Trail(dot, (1.0, 1.0, 1.0, 1.0), 2.2 * _TUBE))
         angles = self.rollout.joint_angles[step]
         self.image.set_data(
-            arm_image(path.scene, path.target, angles, trails=trails, size=self.size, camera=FRONT)
+            arm_image(path.scene, path.target, angles, trails=trails, size=self.size)
         )
 
 
