@@ -244,7 +244,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
         if scene.dim != self.dim or scene.num_goals > self.max_goals:
             raise InvalidSceneError(
-                f"scene must be {self.dim}-D here with at most {self.max_goals} goals, "
+                f"scene must be {self.dim}-D with at most {self.max_goals} goals here, "
                 f"got {scene.dim}-D with {scene.num_goals}"
             )
         if not np.array_equal(scene.workspace, self.workspace):
