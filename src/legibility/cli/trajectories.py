@@ -104,13 +104,14 @@ def _header(lines: Sequence[str]) -> _Header | None:
     """
     first = None
     for number, line in enumerate(lines, start=1):
-        text = line.strip().lstrip("#%")
         if not line.strip():
             continue
+        is_comment = line.lstrip()[0] in "#%"
+        text = line.rstrip("\r\n").lstrip(" #%")
         options = [_split(number, text, separator) for separator in _SEPARATORS]
         header = max(options, key=lambda option: sum(name in _KNOWN for name in option.names))
         first = first or header
-        if text == line.strip() or any(name in _AXES for name in header.names):
+        if not is_comment or any(name in _AXES for name in header.names):
             return header
     return first
 

@@ -44,13 +44,7 @@ Its vertical field of view is 30°."""
 
 
 class Trail(NamedTuple):
-    """A trajectory as a tube.
-
-    Attributes:
-        points: `(T, 3)` [m].
-        rgba: its colour, each channel from 0 to 1.
-        radius: of the tube [m].
-    """
+    """A trajectory `points (T, 3)` [m] as a tube of colour `rgba` (0 to 1) and `radius` [m]."""
 
     points: Array
     rgba: Sequence[float]
@@ -80,7 +74,12 @@ def arm_image(
     width, height = (
         count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
     )
-    boxes, tubes = list(_blocks(scene)), [*_ring(scene, target), *trails]
+    boxes, tubes = list(_blocks(scene)), list(trails)
+    if target is not None:
+        turn = np.linspace(0, 2 * np.pi, 49)
+        circle = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
+        middle = scene.target(target) - [0, 0, BLOCK / 2 - 0.002]
+        tubes.append(Trail(middle + _RING * circle, _rgba(INK), 0.0016))
     pieces = len(boxes) + sum(len(tube[0]) - 1 for tube in tubes)
     if pieces > _MAX_SHAPES:
         raise InvalidInputError(
@@ -109,14 +108,6 @@ def _blocks(scene: Scene) -> Iterator[tuple[Array, Sequence[float], Sequence[flo
             edges = 0.95 * half, 0.95 * half, height / 2
             yield np.array([*goal[:2], bottom - height / 2]), edges, _STACK
             bottom -= height
-
-
-def _ring(scene: Scene, target: int | None) -> Iterator[Trail]:
-    if target is not None:
-        middle = scene.target(target) - [0, 0, BLOCK / 2 - 0.002]
-        turn = np.linspace(0, 2 * np.pi, 49)
-        circle = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
-        yield Trail(middle + _RING * circle, _rgba(INK), 0.0016)
 
 
 def _shapes(model: Any, angles: Array, boxes: Iterable[Any], tubes: Iterable[Trail]) -> Any:

@@ -207,12 +207,9 @@ def _import() -> tuple[Any, Any]:
             from panda_gym.envs.robots.panda import Panda
             from panda_gym.pybullet import PyBullet
     except ImportError as cause:
-        hint = ""
-        if sys.version_info >= (3, 12):
-            version = ".".join(map(str, sys.version_info[:2]))
-            hint = f"; its pybullet has wheels up to Python 3.11 only, this is {version}"
         raise MissingExtraError(
-            f"panda-gym cannot be loaded ({cause}): pip install 'legibility[pandagym]'{hint}"
+            f"panda-gym cannot be loaded ({cause}): pip install 'legibility[pandagym]'; "
+            "its pybullet has wheels up to Python 3.11 only"
         ) from cause
     return PyBullet, Panda
 

@@ -7,7 +7,6 @@ confidence: from there on the observer believes in the target for good.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
@@ -31,9 +30,8 @@ from ..files import atomic_path
 from ..intent.metrics import CONFIDENCE
 from ..rollout import Rollout
 from ..scene import Scene
-from .scene_axes import goal_colors
+from .scene_axes import ArmView, DrawnView, add_artist, diamond, goal_colors
 from .style import DOTTED, figure_file, shared_style
-from .views import ArmView, DrawnView, add_artist, diamond
 
 Picture = NDArray[np.uint8]
 
@@ -191,7 +189,7 @@ class _Stage:
             motion.show(step)
 
     def frames(self, progress: Callable[[int, int], None]) -> tuple[Picture, Iterator[Picture]]:
-        """The last picture `(H, W, 3)`, and that of each control step."""
+        """The last picture `(H, W, 3)`, and all: that of each control step, and the last held."""
         canvas = FigureCanvasAgg(self.figure)
         moving = [artist for motion in self.motions for artist in motion.moving]
         for artist in moving:
@@ -210,8 +208,10 @@ class _Stage:
             for step in range(self.last + 1):
                 progress(step, self.last + 1)
                 yield picture(step)
+            yield from [final] * round(_HOLD / self.motions[0].seconds)
 
-        return picture(self.last), pictures()
+        final = picture(self.last)
+        return final, pictures()
 
 
 class _Motion:
@@ -277,9 +277,8 @@ def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seco
     def image(picture: Picture) -> Image.Image:
         return Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
 
-    hold = [image(final)] * round(_HOLD / seconds)  # stored as one long frame
-    frames = itertools.chain(map(image, pictures), hold)
-    next(frames).save(
+    frames = map(image, pictures)
+    next(frames).save(  # equal frames are stored as one
         file, format="GIF", save_all=True, append_images=frames,
         duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
     )  # fmt: skip
@@ -301,19 +300,17 @@ def _palette(picture: Picture) -> Image.Image:
 
 def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
     height, width, _ = final.shape
-    rate = round(1 / seconds)
     command = [
         "ffmpeg", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24",
-        "-s", f"{width}x{height}", "-r", str(rate), "-i", "-",
+        "-s", f"{width}x{height}", "-r", str(round(1 / seconds)), "-i", "-",
         "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", str(file),
     ]  # fmt: skip
-    hold = itertools.repeat(final, round(_HOLD * rate))
     pipe = subprocess.PIPE
     with subprocess.Popen(command, bufsize=0, stdin=pipe, stderr=pipe) as encoder:
         assert encoder.stdin
         with contextlib.suppress(BrokenPipeError):  # it has ended and printed why
-            for picture in itertools.chain(pictures, hold):
+            for picture in pictures:
                 encoder.stdin.write(picture.tobytes())
         error = encoder.communicate()[1].decode(errors="replace").strip()
     if encoder.returncode:

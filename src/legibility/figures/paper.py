@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import Array
 from ..envs.colors import GOALS, INK, MUTED
+from ..envs.panda_render import Trail, arm_image
 from ..errors import InvalidInputError
 from ..evaluation.statistics import bootstrap_interval
 from ..scene import Scene
@@ -224,8 +225,6 @@ def _draw_motions(figure: Any, cell: Any, spectrum: Spectrum) -> None:
     motions = [spectrum.motions[i] for i in shown]
     colors = REDS(LABELS(spectrum.levels[shown]))
     if spectrum.angles.size:
-        from ..envs.panda_render import Trail, arm_image
-
         axes = figure.add_subplot(cell)
         axes.set_axis_off()
         trails = [Trail(m, tuple(c), _TUBE) for m, c in zip(motions, colors, strict=True)]
