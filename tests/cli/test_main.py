@@ -132,12 +132,10 @@ def test_import_is_fast_and_loads_no_torch():
 
 
 def test_interrupt_says_what_resumes(monkeypatch, tmp_path, capsys):
-    import legibility.cli.data
-
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(legibility.cli.data, "generate", interrupted)
+    monkeypatch.setattr("legibility.data.dataset.generate", interrupted)
     assert main(["data", "--out", str(tmp_path / "data")]) == 130
     assert capsys.readouterr().err == "legibility: interrupted; the same command resumes\n"
 

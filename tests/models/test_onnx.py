@@ -93,17 +93,10 @@ def test_actions_are_the_same(pair, size):
         pair[1]._policy.act(observation, noise, policy.config.sampling_steps + 1)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"dim": 3, "channels": (8, 16, 16), "field": False, "sampling_steps": 1, "guidance": 0.0},
-        {"channels": (8,), "sampling_steps": 2, "guidance": 0.7},
-    ],
-    ids=str,
-)
-def test_a_path_diffuser_of_other_settings_is_exported(changes, tmp_path):
+def test_a_path_diffuser_of_other_settings_is_exported(tmp_path):
     runtime("onnxruntime", "onnxscript")
     torch.manual_seed(0)
+    changes = {"dim": 3, "channels": (8,), "sampling_steps": 2, "guidance": 0.7}
     model = PathDiffuser(PathDiffuserConfig(**{**TINY, **changes})).eval()
     for parameter in model.parameters():
         torch.nn.init.normal_(parameter, std=0.2)
