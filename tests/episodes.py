@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from legibility.envs.guard import safe_actions
+from legibility.envs.fleet import safe_actions
 
 
 def equal(first, second):

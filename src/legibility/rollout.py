@@ -12,8 +12,7 @@ import numpy as np
 from .checks import Array
 from .curves import NUM_WAYPOINTS, resample
 from .drivers import Driver, RobotStates
-from .envs.fleet import Fleet
-from .envs.guard import safe_actions
+from .envs.fleet import Fleet, safe_actions
 from .errors import InvalidInputError
 from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .motion.path import Path

@@ -81,7 +81,7 @@ def test_json_is_written_before_a_picture_fails(here, weights, cli, monkeypatch)
     def fail(*_):
         raise OSError("no font")
 
-    monkeypatch.setattr("legibility.figures.dial.dial_figure", fail)
+    monkeypatch.setattr("legibility.figures.paper.dial_figure", fail)
     flags = "--scenes 1 --goals 2 --levels 3 --samples 1 --candidates 0"
     assert cli(f"evaluate dial {flags} --json e.json --figure e.png --model", weights) == 2
     assert json.loads(Path("e.json").read_text())["result"]["overall"]

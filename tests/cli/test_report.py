@@ -72,7 +72,7 @@ def test_texts_are_written_before_a_picture_fails(results, cli, monkeypatch):
     def fail(*_):
         raise KeyError("no font")
 
-    monkeypatch.setattr("legibility.figures.dial.dial_figure", fail)
+    monkeypatch.setattr("legibility.figures.paper.dial_figure", fail)
     assert cli(REPORT) == 2
     assert Path("docs/results.md").exists()
     assert Path("models/tiny/README.md").exists()

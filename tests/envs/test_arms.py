@@ -144,7 +144,7 @@ class TestEpisodes:
     @pytest.mark.parametrize(("options", "error", "message"), [
         ({"gain": 0.7}, InvalidInputError, r"unknown: \['gain'\]"),
         ({"scene": Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])}, InvalidSceneError,
-         "must be 3-D here, got 2-D"),
+         "must be 3-D .* here, got 2-D"),
         ({"scene": Scene([0, 0, 0.2], [[0, 0, 0.1], [0, 0.1, 0.1]], [[-1] * 3, [1] * 3])},
          InvalidSceneError, r"workspace must be \[\[-0.3, -0.3, 0.02\].*got \[\[-1.0"),
     ])  # fmt: skip

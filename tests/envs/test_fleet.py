@@ -212,9 +212,8 @@ class TestWrappers:
     @pytest.mark.parametrize("name", of(wrappers, REFUSED))
     def test_refused(self, name):
         env = wrapped(make(), wrappers, name, *REFUSED[name])
-        with pytest.raises(InvalidInputError, match=name) as error:
+        with pytest.raises(InvalidInputError, match=name):
             moved(env)
-        assert "OrderEnforcing" not in str(error.value)  # which is no one's fault
 
     @pytest.mark.parametrize("name", of(wrappers, EITHER))
     def test_right_or_refused(self, name, rollouts):
@@ -230,7 +229,7 @@ class TestWrappers:
 
     def test_the_innermost_is_named_as_well(self):
         env = wrappers.RecordEpisodeStatistics(wrappers.RescaleAction(make(), -1.0, 1.0))
-        with pytest.raises(InvalidInputError, match="RecordEpisodeStatistics, RescaleAction"):
+        with pytest.raises(InvalidInputError, match="RecordEpisodeStatistics<RescaleAction"):
             moved(env)
 
     def test_a_wrapper_that_fails_is_named(self):
@@ -238,7 +237,7 @@ class TestWrappers:
             def step(self, action):
                 raise KeyError("speed")
 
-        with pytest.raises(InvalidInputError, match=r"Broken: KeyError\('speed'\)"):
+        with pytest.raises(InvalidInputError, match=r"KeyError\('speed'\).*Broken"):
             moved(Broken(make()))
 
     def test_a_wrapper_that_delays_actions(self):
@@ -249,7 +248,7 @@ class TestWrappers:
                 action, self.last = self.last, action
                 return action
 
-        with pytest.raises(InvalidInputError, match="delay or repeat actions: Late"):
+        with pytest.raises(InvalidInputError, match="delay or repeat actions: <Late"):
             moved(Late(make()))
 
 

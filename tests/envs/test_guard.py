@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from legibility.envs.block_reach_2d import BlockReach2DVector
-from legibility.envs.guard import safe_actions
+from legibility.envs.fleet import safe_actions
 from legibility.scene import DEFAULT_WORKSPACE
 
 LIMIT, LAG = 0.05, 0.3

@@ -8,7 +8,7 @@ import pytest
 from legibility import Scene
 from legibility.envs import panda_render
 from legibility.envs.arm import HOME
-from legibility.envs.panda_render import Camera, arm_image
+from legibility.envs.panda_render import arm_image
 from legibility.errors import InvalidInputError
 
 pytest.importorskip("mujoco", reason="the arm is NOT TESTED: pip install 'legibility[panda]'")
@@ -56,8 +56,6 @@ def test_a_scene(drawn):
     bare = arm_image(SCENE, None, HOME, size=(320, 240))
     assert share_of(bare, BLUE) < 1e-4
     assert (arm_image(SCENE, 0, HOME, size=(320, 240)) != bare).any()  # the ring
-    close = arm_image(SCENE, None, HOME, size=(320, 240), camera=Camera(distance=1.2))
-    assert share_of(close, RED) > 2 * share_of(bare, RED)
 
 
 def test_both_see_the_same(monkeypatch):
@@ -115,9 +113,6 @@ def test_meshes_are_split_by_material():
     }
     o, x, xy, y = [0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]
     assert triangles == {"white": [[o, x, xy], [o, xy, y]], "dark": [[y, o, x]]}
-    for part in parts.values():
-        assert part["userfacenormal"].tolist() == part["userface"].tolist()
-        assert (part["usernormal"].reshape(-1, 3) == [0, 0, 1]).all()
     assert len(parts["dark"]["uservert"]) == 9  # without the vertex of the other
 
 

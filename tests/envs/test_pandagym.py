@@ -47,6 +47,7 @@ class TestSimulator:
         assert first[0]["position"] == pytest.approx(second[0]["position"], abs=1e-3)
 
     def test_pictures(self):
+        pytest.importorskip("mujoco", reason="pictures are NOT TESTED: the extra panda is missing")
         env = PandaGymBlockReachVector(2, render_mode="rgb_array")
         other = PandaGymBlockReachVector(2)
         for each in (env, other):
@@ -84,10 +85,10 @@ class TestSimulator:
         for module in ("panda_gym", "panda_gym.pybullet", "panda_gym.envs.robots.panda"):
             monkeypatch.setitem(sys.modules, module, None)
         monkeypatch.setattr(pandagym, "_IDLE", [])
-        with pytest.raises(MissingExtraError, match=r"pip install 'legibility\[pandagym\]'$"):
-            PandaGymBlockReach()
-        monkeypatch.setattr(sys, "version_info", (3, 13, 0))
-        with pytest.raises(MissingExtraError, match=r"up to Python 3\.11 only, this is 3\.13$"):
+        message = (
+            r"pip install 'legibility\[pandagym\]'; its pybullet has .* up to Python 3\.11 only"
+        )
+        with pytest.raises(MissingExtraError, match=message):
             PandaGymBlockReach()
 
     def test_contact_leaves_no_trace(self, world):

@@ -13,7 +13,7 @@ from legibility.envs.fleet import Fleet
 from legibility.errors import InvalidInputError, OutputError
 from legibility.evaluation.comparison import SCENES
 from legibility.evaluation.spectrum import Spectrum
-from legibility.figures.spectrum import spectrum_figure
+from legibility.figures.paper import spectrum_figure
 from legibility.intent.metrics import potential_cost
 from legibility.rollout import follow
 
@@ -57,7 +57,7 @@ def test_costs_are_those_of_the_motions(rollouts, tmp_path, monkeypatch):
     def keep(file, width, height):
         yield figure
 
-    monkeypatch.setattr("legibility.figures.spectrum.figure_file", keep)
+    monkeypatch.setattr("legibility.figures.paper.figure_file", keep)
     spectrum_figure([Spectrum.of(rollouts[::-1])], tmp_path / "x.png")
     line = figure.axes[-1].lines[0]
     np.testing.assert_array_equal(line.get_xdata(), LEVELS)

@@ -10,7 +10,7 @@ from matplotlib import rcParams
 from pictures import assert_picture, assert_vector
 
 from legibility.errors import InvalidInputError, OutputError
-from legibility.figures.dial import dial_figure
+from legibility.figures.paper import dial_figure
 
 
 def dial(scenes=5, levels=7):

@@ -92,7 +92,7 @@ class TestPrecision:
         np.testing.assert_allclose(losses, expected, rtol=0.05)
 
     def test_that_is_none(self):
-        with pytest.raises(InvalidInputError, match="one of no, bf16, got 'double'"):
+        with pytest.raises(InvalidInputError, match="one of no, bf16, fp16, got 'double'"):
             Team.join("cpu", "double")
 
 

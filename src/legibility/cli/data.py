@@ -76,7 +76,7 @@ def data(
     write_report(json, seed=config.seed, config=config.to_dict(), result=result)
     show(*_tables(result, config, folder))
     if figure is not None:
-        from ..figures.plan import archive_figure
+        from ..figures.paper import archive_figure
 
         archive = config.archive(0, config.observer, config.cells)
         scene, curves, labels = archive.scene, archive.trajectories, archive.labels

@@ -157,12 +157,12 @@ def _weights() -> Iterable[Part]:
         files = sorted(folder.glob("*.safetensors"))
         return ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in files)
 
-    yield _attempt("weights", MODEL, load)
-    with contextlib.suppress(Exception):  # reported by now
+    names = {MODEL: None}
+    with contextlib.suppress(Exception):  # which loading the model reports
         from ..models.pretrained import pretrained_names
 
-        names = [*pretrained_names(), *pretrained_names("goal")]
-        yield from (_attempt("weights", name, load) for name in names if name != MODEL)
+        names |= dict.fromkeys([*pretrained_names(), *pretrained_names("goal")])
+    return [_attempt("weights", name, load) for name in names]
 
 
 def _renderers() -> Iterable[Part]:

@@ -112,7 +112,7 @@ def _draw(
         execution_figure(rollouts, figure)
     if spectrum is not None:
         from ..evaluation.spectrum import Spectrum
-        from ..figures.spectrum import spectrum_figure
+        from ..figures.paper import spectrum_figure
 
         spectrum_figure([Spectrum.of(rollouts)], spectrum)
     if video is not None:

@@ -58,7 +58,7 @@ class Where:
 
     Attributes:
         device: cpu or cuda; if not given, a GPU where there is one.
-        precision: of the network's products, no (float32) or bf16; if not given, that of
+        precision: of the network's products, no (float32), bf16 or fp16; if not given, that of
             `accelerate launch`, or no.
     """
 

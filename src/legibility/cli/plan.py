@@ -66,7 +66,7 @@ def plan(
         },
     )
     if figure is not None:
-        from ..figures.plan import plan_figure
+        from ..figures.paper import plan_figure
 
         plan_figure(path, figure)
 

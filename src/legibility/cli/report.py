@@ -78,10 +78,10 @@ def result_figure(kind: str, result: dict[str, Any], file: Path) -> None:
     """Draw the picture of a result of a dial or spectrum."""
     if kind == "spectrum":
         from ..evaluation.spectrum import Spectrum
-        from ..figures.spectrum import spectrum_figure
+        from ..figures.paper import spectrum_figure
 
         spectrum_figure([Spectrum.of_result(result, target) for target in result["targets"]], file)
     else:
-        from ..figures.dial import dial_figure
+        from ..figures.paper import dial_figure
 
         dial_figure(result, file)

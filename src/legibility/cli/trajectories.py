@@ -7,8 +7,8 @@ import io
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,11 +24,11 @@ _NAME = "trajectory"
 _KNOWN = (*_AXES, *_TIMES, _NAME)
 _SEPARATORS = (",", ";", "\t", " ")
 _METRES = ("m", "metre", "metres", "meter", "meters")
-_UNIT = re.compile(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]")
+_COLUMN = re.compile(r"(.*?)(?:\s*[\[(]\s*(.*?)\s*[\])])?", re.DOTALL)
+"""A name and perhaps a unit."""
 
 
-@dataclass(frozen=True)
-class _Header:
+class _Header(NamedTuple):
     """The line that names the columns, in lower case, and the units that it gives."""
 
     line: int
@@ -104,11 +104,10 @@ def _header(lines: Sequence[str]) -> _Header | None:
     """
     first = None
     for number, line in enumerate(lines, start=1):
-        text = line.rstrip("\r\n")
-        if not text.strip():
+        if not line.strip():
             continue
-        if is_comment := text.lstrip().startswith(("#", "%")):
-            text = text.lstrip().lstrip("#%")
+        is_comment = line.lstrip()[0] in "#%"
+        text = line.rstrip("\r\n").lstrip(" #%")
         options = [_split(number, text, separator) for separator in _SEPARATORS]
         header = max(options, key=lambda option: sum(name in _KNOWN for name in option.names))
         first = first or header
@@ -119,13 +118,9 @@ def _header(lines: Sequence[str]) -> _Header | None:
 
 def _split(line: int, text: str, separator: str) -> _Header:
     cells = next(csv.reader([text.lower()], delimiter=separator, skipinitialspace=True), [])
-    names, units = [], {}
-    for cell in map(str.strip, cells):
-        match = _UNIT.fullmatch(cell)
-        names.append(match[1] if match else cell)
-        if match:
-            units[match[1]] = match[2]
-    return _Header(line, names, units, separator)
+    matches = [_COLUMN.fullmatch(cell.strip()) for cell in cells]
+    units = {match[1]: match[2] for match in matches if match and match[2] is not None}
+    return _Header(line, [match[1] for match in matches if match], units, separator)
 
 
 def _columns(header: _Header, scene: Scene) -> list[str]:
@@ -160,13 +155,15 @@ def _row(
     name = texts.get(_NAME, "1")
     if not name:
         raise InvalidInputError("the trajectory has no name")
+    row = []
     for column in columns:
-        if not _is_number(texts[column]):
-            hint = "; write a decimal point" if "," in texts[column] else ""
-            raise InvalidInputError(f"{column} must be a number, got {texts[column]!r}{hint}")
-        if not math.isfinite(float(texts[column])):
-            raise InvalidInputError(f"{column} must be finite, got {texts[column]}")
-    row = [float(texts[column]) for column in columns]
+        text = texts[column]
+        if not _is_number(text):
+            hint = "; write a decimal point" if "," in text else ""
+            raise InvalidInputError(f"{column} must be a number, got {text!r}{hint}")
+        row.append(float(text))
+        if not math.isfinite(row[-1]):
+            raise InvalidInputError(f"{column} must be finite, got {text}")
     point = row[: scene.dim]
     if not scene.contains(point, START_OVERSHOOT * scene.diagonal):
         raise InvalidInputError(f"{point} lies outside the workspace {scene.workspace.tolist()}")

@@ -16,7 +16,7 @@ import pyarrow as pa
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS
 from ..envs import vector_type
-from ..envs.guard import safe_actions
+from ..envs.fleet import safe_actions
 from ..errors import InvalidInputError
 from ..motion.tracking import PathTracker, feedback_action
 from ..scene import DEFAULT_WORKSPACE, Scene

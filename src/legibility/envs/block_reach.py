@@ -242,11 +242,10 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
     def _check_scene(self, scene: Any) -> None:
         if not isinstance(scene, Scene):
             raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
-        if scene.dim != self.dim:
-            raise InvalidSceneError(f"scene must be {self.dim}-D here, got {scene.dim}-D")
-        if scene.num_goals > self.max_goals:
+        if scene.dim != self.dim or scene.num_goals > self.max_goals:
             raise InvalidSceneError(
-                f"scene must have at most {self.max_goals} goals, got {scene.num_goals}"
+                f"scene must be {self.dim}-D with at most {self.max_goals} goals here, "
+                f"got {scene.dim}-D with {scene.num_goals}"
             )
         if not np.array_equal(scene.workspace, self.workspace):
             raise InvalidSceneError(

@@ -1,30 +1,32 @@
-"""One interface to one environment, to a vector of ours, and to Gymnasium's `SyncVectorEnv`."""
+"""One interface to one environment or a vector of them, and the last check of their actions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
-from numpy.typing import NDArray
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, target_index
 from ..errors import InvalidInputError, LegibilityError
 from ..scene import Scene
 from .block_reach import BlockReachVector
 
-__all__ = ["Fleet", "is_vector"]
+__all__ = ["Fleet", "is_vector", "safe_actions"]
 
-_HARMLESS = OrderEnforcing, PassiveEnvChecker, TimeLimit
 _ADVICE = "make it with gymnasium.make_vec(…, vectorization_mode='vector_entry_point')"
 
 
 def is_vector(env: Any) -> bool:
     """Whether `env` holds several robots."""
     return isinstance(env, gymnasium.vector.VectorEnv)
+
+
+def _gathered(name: str, doc: str) -> Any:
+    return property(lambda fleet: fleet._gather(name), doc=doc)
 
 
 class Fleet:
@@ -73,30 +75,15 @@ class Fleet:
         """The current scene of each robot."""
         return [scene for part in self._parts for scene in part.scenes]
 
-    @property
-    def targets(self) -> NDArray[np.int64]:
-        """`(B,)`, index of the intended goal."""
-        return self._gather("targets")
+    targets = _gathered("targets", "`(B,)`, index of the intended goal.")
+    positions = _gathered("positions", "`(B, D)` [m].")
+    joint_angles = _gathered("joint_angles", "`(B, J)` [rad]; J = 0 for a point in 2-D.")
+    wall_contacts = _gathered("wall_contact", "`(B,)`, whether a wall stopped the last step.")
 
     @property
     def goals(self) -> Array:
         """`(B, D)` [m], the intended goals."""
         return np.stack([s.goals[t] for s, t in zip(self.scenes, self.targets, strict=True)])
-
-    @property
-    def positions(self) -> Array:
-        """`(B, D)` [m]."""
-        return self._gather("positions")
-
-    @property
-    def joint_angles(self) -> Array:
-        """`(B, J)` [rad]; J = 0 for a point in the plane."""
-        return self._gather("joint_angles")
-
-    @property
-    def wall_contacts(self) -> NDArray[np.bool_]:
-        """`(B,)`, whether a wall stopped the robot in the last step."""
-        return self._gather("wall_contact")
 
     @property
     def counts(self) -> dict[str, NDArray[np.int64]]:
@@ -117,14 +104,9 @@ class Fleet:
     def step(
         self, actions: Array, active: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Send `actions (B, D)` [m].
+        """Send `actions (B, D)` [m] to the robots that are `active (B,)`.
 
-        Args:
-            actions: displacements.
-            active: `(B,)`, the robots whose episode goes on.
-
-        Returns:
-            Whether each has succeeded and whether its episode has ended, `(B,)` each.
+        Return whether each has succeeded and whether its episode has ended, `(B,)` each.
 
         Raises:
             InvalidInputError: an active robot did not receive its action.
@@ -138,7 +120,7 @@ class Fleet:
         ):
             raise InvalidInputError(
                 "env did not execute the action that was sent; reset it, and remove wrappers that "
-                f"change, delay or repeat actions: {_wrappers(self._env) or 'none'}"
+                f"change, delay or repeat actions: {_names(self._env)}"
             )
         terminated, truncated = (np.atleast_1d(np.asarray(ends)) for ends in step[2:4])
         return self._gather("success"), terminated | truncated
@@ -150,12 +132,10 @@ class Fleet:
         except LegibilityError:
             raise
         except Exception as cause:
-            wrappers = _wrappers(self._env)
-            if not wrappers:
-                raise
-            raise InvalidInputError(
-                f"env fails in {method.__name__} with its wrappers {wrappers}: {cause!r}"
-            ) from cause
+            problem = (
+                f"env fails in {method.__name__}: {cause!r}; its wrappers: {_names(self._env)}"
+            )
+            raise InvalidInputError(problem) from cause
 
 
 def _batches(env: Any) -> list[BlockReachVector]:
@@ -180,28 +160,46 @@ def _batches(env: Any) -> list[BlockReachVector]:
     return [single for single in singles if single is not None]
 
 
-def _layers(env: Any) -> Iterator[Any]:
-    """The wrappers around `env` from outside in, and those of the first environment of a vector."""
-    while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):
-        yield env
-        env = env.env
-    if isinstance(env, SyncVectorEnv):
-        yield from _layers(env.envs[0])
-
-
-def _wrappers(env: Any) -> str:
-    """Names of the wrappers around `env`, but for those that `gymnasium.make` adds."""
-    return ", ".join(
-        type(layer).__name__ for layer in _layers(env) if not isinstance(layer, _HARMLESS)
-    )
+def _names(env: Any) -> str:
+    """`env` with its wrappers, and the first environment of a vector with its own."""
+    return ", ".join(map(str, [env, *getattr(env.unwrapped, "envs", ())[:1]]))
 
 
 def _time_limits(env: Any) -> Array:
-    """Control steps of an episode of each environment, `(B,)` or one for all."""
-    limits = []
-    for single in getattr(env.unwrapped, "envs", [env]):
-        specs = [layer.spec for layer in _layers(single) if isinstance(layer, TimeLimit)]
-        limits.append(
-            min((spec.max_episode_steps or np.inf for spec in specs if spec), default=np.inf)
-        )
-    return np.array(limits)
+    """Control steps of an episode, `(B,)` or one for all, by the wrappers of Gymnasium."""
+    if isinstance(env.unwrapped, BlockReachVector):
+        return np.array(np.inf)  # which ends its episodes itself
+    specs = [single.spec for single in getattr(env.unwrapped, "envs", [env])]
+    return np.array([(spec and spec.max_episode_steps) or np.inf for spec in specs])
+
+
+def safe_actions(
+    actions: ArrayLike,
+    positions: Array,
+    velocities: Array,
+    workspace: Array,
+    limit: float,
+    lag: float,
+) -> Array:
+    """Displacements that are safe to send, `(..., D)` [m].
+
+    A stopped actuator of lag λ moves on by λ/(1 − λ) of its last displacement. Both from there and
+    from the present position (the lag may be 0) the action must stay inside the workspace. A robot
+    that starts at rest, receives only such actions and realises any share of them from 0 to 1 never
+    leaves it.
+
+    Args:
+        actions: `(..., D)` [m], wanted displacements; NaN becomes 0.
+        positions: `(..., D)` [m], present positions of the robots.
+        velocities: `(..., D)` [m], their displacements in the last step.
+        workspace: `(2, D)` [m], low and high corner.
+        limit: largest displacement along each axis [m].
+        lag: λ in [0, ½], the largest lag that the actuator may have.
+    """
+    wanted = np.nan_to_num(np.asarray(actions, dtype=np.float64))  # ±inf becomes ±1.8e308
+    # Scaled, not clipped: a long step keeps its direction.
+    wanted = wanted * (limit / np.maximum(np.abs(wanted).max(axis=-1, keepdims=True), limit))
+    low, high = workspace
+    rest = positions + lag / (1 - lag) * velocities
+    wanted = np.clip(wanted, low - np.minimum(rest, positions), high - np.maximum(rest, positions))
+    return np.clip(wanted, -limit, limit)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import Array
-from ..errors import InvalidInputError, MissingExtraError
+from ..errors import MissingExtraError
 from .arm import BASE, HOME
 
 __all__ = ["JOINT_MARGIN", "Kinematics", "Simulation", "import_mujoco", "physics", "specification"]
@@ -40,16 +40,14 @@ def import_mujoco(module: str = "mujoco") -> Any:
             f"{cause.name} is not installed: pip install 'legibility[panda]'"
         ) from cause
     except Exception as cause:
-        backend = os.environ.get("MUJOCO_GL")
+        backend = os.environ.pop("MUJOCO_GL", None)  # the physics needs no OpenGL
         if backend is None:
             raise
-        if backend not in ("egl", "osmesa", "glfw"):
-            raise InvalidInputError(
-                f"MuJoCo cannot be loaded with MUJOCO_GL={backend} ({cause}); unset it, or choose "
-                "egl, osmesa or glfw"
-            ) from cause
-        warnings.warn(f"ignoring MUJOCO_GL={backend}, which does not work: {cause}", stacklevel=2)
-    del os.environ["MUJOCO_GL"]  # the physics needs no OpenGL
+        warnings.warn(
+            f"ignoring MUJOCO_GL={backend}, which does not work: {cause}; unset it, or choose egl, "
+            "osmesa or glfw",
+            stacklevel=2,
+        )
     for name in [n for n in sys.modules if n.partition(".")[0] in ("mujoco", "OpenGL")]:
         del sys.modules[name]
     return import_mujoco(module)

@@ -24,7 +24,7 @@ from .arm import BLOCK
 from .colors import GOALS, INK
 from .panda_model import import_mujoco, physics, specification
 
-__all__ = ["FRONT", "Camera", "Trail", "arm_image"]
+__all__ = ["Trail", "arm_image"]
 
 _STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
 _SMOOTH, _FINE = 2, 3
@@ -38,34 +38,13 @@ _LINKS = (*(f"link{i}" for i in range(8)), "hand", "finger")
 _WHITE = [0.95, 0.95, 0.95]
 
 
-class Camera(NamedTuple):
-    """The camera of a picture, whose vertical field of view is 30°.
-
-    Attributes:
-        azimuth: of the view's direction [degrees].
-        elevation: of the view's direction; negative looks down [degrees].
-        distance: from `lookat` [m].
-        lookat: the middle of the picture [m].
-    """
-
-    azimuth: float = 140.0
-    elevation: float = -22.0
-    distance: float = 2.35
-    lookat: tuple[float, float, float] = (-0.25, 0.0, 0.22)
-
-
-FRONT = Camera(150.0, -28.0, 2.1, (-0.22, 0.0, 0.25))
-"""Nearer than the default and more from the front."""
+_AZIMUTH, _ELEVATION, _DISTANCE, _LOOKAT = 150.0, -28.0, 2.1, (-0.22, 0.0, 0.25)
+"""The camera: direction of its view [degrees], and distance from the middle of the picture [m].
+Its vertical field of view is 30°."""
 
 
 class Trail(NamedTuple):
-    """A trajectory as a tube.
-
-    Attributes:
-        points: `(T, 3)` [m].
-        rgba: its colour, each channel from 0 to 1.
-        radius: of the tube [m].
-    """
+    """A trajectory `points (T, 3)` [m] as a tube of colour `rgba` (0 to 1) and `radius` [m]."""
 
     points: Array
     rgba: Sequence[float]
@@ -79,7 +58,6 @@ def arm_image(
     *,
     trails: Iterable[Trail] = (),
     size: tuple[int, int] = (480, 480),
-    camera: Camera = Camera(),  # noqa: B008 (immutable)
 ) -> NDArray[np.uint8]:
     """The arm among a scene's blocks, `(H, W, 3)`.
 
@@ -92,19 +70,23 @@ def arm_image(
         angles: `(7,)` [rad], of the arm's joints.
         trails: trajectories drawn as tubes, 5000 points in all at most.
         size: width and height [pixels].
-        camera: the camera.
     """
     width, height = (
         count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
     )
-    boxes, tubes = list(_blocks(scene)), [*_ring(scene, target), *trails]
+    boxes, tubes = list(_blocks(scene)), list(trails)
+    if target is not None:
+        turn = np.linspace(0, 2 * np.pi, 49)
+        circle = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
+        middle = scene.target(target) - [0, 0, BLOCK / 2 - 0.002]
+        tubes.append(Trail(middle + _RING * circle, _rgba(INK), 0.0016))
     pieces = len(boxes) + sum(len(tube[0]) - 1 for tube in tubes)
     if pieces > _MAX_SHAPES:
         raise InvalidInputError(
             f"blocks and trails must be at most {_MAX_SHAPES} pieces, got {pieces}"
         )
     renderer = _renderer()
-    shapes = _shapes(_looks() if renderer else physics(), angles, camera, boxes, tubes)
+    shapes = _shapes(_looks() if renderer else physics(), angles, boxes, tubes)
     if renderer is None:
         return _sketch(shapes, width, height)
     return renderer.draw(shapes, width, height)
@@ -128,24 +110,15 @@ def _blocks(scene: Scene) -> Iterator[tuple[Array, Sequence[float], Sequence[flo
             bottom -= height
 
 
-def _ring(scene: Scene, target: int | None) -> Iterator[Trail]:
-    if target is not None:
-        middle = scene.target(target) - [0, 0, BLOCK / 2 - 0.002]
-        turn = np.linspace(0, 2 * np.pi, 49)
-        circle = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
-        yield Trail(middle + _RING * circle, _rgba(INK), 0.0016)
-
-
-def _shapes(
-    model: Any, angles: Array, camera: Camera, boxes: Iterable[Any], tubes: Iterable[Trail]
-) -> Any:
+def _shapes(model: Any, angles: Array, boxes: Iterable[Any], tubes: Iterable[Trail]) -> Any:
     """The arm, the boxes and the tubes as MuJoCo's `MjvScene`, which needs no OpenGL."""
     mujoco = import_mujoco()
     data, shapes = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=_MAX_SHAPES + 500)
     data.qpos[:] = angles
     mujoco.mj_forward(model, data)
     view, option = mujoco.MjvCamera(), mujoco.MjvOption()
-    view.azimuth, view.elevation, view.distance, view.lookat[:] = camera
+    view.azimuth, view.elevation, view.distance = _AZIMUTH, _ELEVATION, _DISTANCE
+    view.lookat[:] = _LOOKAT
     option.geomgroup[3] = 1
     everything = mujoco.mjtCatBit.mjCAT_ALL
     mujoco.mjv_updateScene(model, data, option, None, view, everything, shapes)
@@ -274,30 +247,22 @@ def _colors(path: Path) -> dict[str, list[float]]:
 
 
 def _split(text: str) -> dict[str, dict[str, Any]]:
-    """MuJoCo's mesh arrays for each material of an OBJ file whose corners have normals."""
-    points: dict[str, list[list[float]]] = {"v": [], "vn": []}
-    triangles: dict[str, list[Any]] = {}
-    material = ""
+    """MuJoCo's mesh arrays for each material of an OBJ file."""
+    vertices, triangles, material = [], {}, ""
     for name, *words in filter(None, map(str.split, text.splitlines())):
-        if name in points:
-            points[name].append([float(word) for word in words])
+        if name == "v":
+            vertices.append([float(word) for word in words])
         elif name == "usemtl":
             material = words[0]
         elif name == "f":
-            first, *others = [[int(index) for index in word.split("/")[::2]] for word in words]
-            triangles.setdefault(material, []).extend(
-                [first, b, c] for b, c in itertools.pairwise(others)
-            )
-    vertices, normals = map(np.array, points.values())
+            first, *others = [int(word.split("/")[0]) - 1 for word in words]
+            fan = [(first, b, c) for b, c in itertools.pairwise(others)]
+            triangles.setdefault(material, []).extend(fan)
     meshes = {}
-    for material, corners in triangles.items():
-        pairs, faces = np.unique(np.reshape(corners, (-1, 2)) - 1, axis=0, return_inverse=True)
-        meshes[material] = {
-            "uservert": vertices[pairs[:, 0]].ravel(),
-            "usernormal": normals[pairs[:, 1]].ravel(),
-            "userface": faces.ravel(),
-            "userfacenormal": faces.ravel(),
-        }
+    for material, faces in triangles.items():
+        used, faces = np.unique(faces, return_inverse=True)
+        corners = np.array(vertices)[used]
+        meshes[material] = {"uservert": corners.ravel(), "userface": faces.ravel()}
     return meshes
 
 

@@ -8,19 +8,16 @@ import ctypes
 import functools
 import os
 import sys
-import weakref
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor
 from scipy.optimize import least_squares
 
 from ..checks import Array
 from ..errors import InvalidInputError, MissingExtraError
-from .arm import BASE, BLOCK, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
-from .colors import GOALS
+from .arm import BASE, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
 from .single import BlockReach
 
 __all__ = ["PandaGymBlockReach", "PandaGymBlockReachVector"]
@@ -47,17 +44,6 @@ _LEVERS = 3e-3, 1e-5
 """Cost [m] of a radian of the gripper's tilt, and of a radian between a joint and `HOME`, when the
 arm is placed. In the far upper corners the gripper tilts a little to reach its place."""
 
-_SIZE, _SHARPNESS = 480, 2
-"""Pixels of a picture, and the factor by which more are drawn."""
-_CAMERA = [0.95, -0.75, 0.75], [-0.22, 0.02, 0.24], [0, 0, 1]
-"""Position of the camera, the point that it looks at, and up [m]."""
-_ANGLE_OF_VIEW = 43.0
-_TABLE, _FLOOR, _SUPPORT = "#e8e6e1", "#c9ccd1", "#b9b9b9"
-_LIGHT = {
-    "lightDirection": [1.2, -2.0, 9.0], "lightColor": [1, 1, 1], "lightDistance": 10, "shadow": 1,
-    "lightAmbientCoeff": 0.6, "lightDiffuseCoeff": 0.38, "lightSpecularCoeff": 0.05,
-}  # fmt: skip
-
 # Links that are not neighbours and may meet in the workspace: the forearm, the wrist and the hand
 # with the base, the shoulder and the upper arm. −1 is the base.
 _PAIRS = [
@@ -77,7 +63,6 @@ class PandaGymBlockReachVector(ArmVector):
 
     def __init__(self, num_envs: int = 1, **settings: Any) -> None:
         self._worlds: list[_World] = []
-        self._give_back = weakref.finalize(self, _recycle, self._worlds)
         super().__init__(num_envs, **settings)
         for _ in range(num_envs):
             self._worlds.append(_IDLE.pop() if _IDLE else _World())
@@ -99,11 +84,18 @@ class PandaGymBlockReachVector(ArmVector):
         return positions
 
     def _picture(self, index: int) -> NDArray[np.uint8]:
-        return _stage().picture(self._worlds[index].joints(), self.scenes[index].goals)
+        from .panda_render import arm_image
+
+        angles = self._worlds[index].joints()
+        return arm_image(self.scenes[index], int(self.targets[index]), angles)
 
     def close_extras(self, **_: Any) -> None:
         """Return the worlds for reuse."""
-        self._give_back()
+        _IDLE.extend(self._worlds)
+        self._worlds.clear()
+
+    def __del__(self) -> None:
+        self.close_extras()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         raise InvalidInputError(
@@ -112,18 +104,15 @@ class PandaGymBlockReachVector(ArmVector):
 
 
 class _World:
-    """A PyBullet world with panda-gym's plane, table and arm, and nothing else.
+    """A PyBullet world with panda-gym's plane, table and arm, and nothing else."""
 
-    Blocks have no contact: only the picture shows them.
-    """
-
-    def __init__(self, visible: bool = False) -> None:
+    def __init__(self) -> None:
         pybullet, panda = _import()
         with _silence():
             self.sim = pybullet(n_substeps=ArmVector.substeps)
-            if not visible:  # the visual meshes of an arm take 90 MB
-                flags = self.sim.physics_client.URDF_IGNORE_VISUAL_SHAPES
-                self.sim.loadURDF = functools.partial(self.sim.loadURDF, flags=flags)
+            # The visual meshes of an arm take 90 MB.
+            flags = self.sim.physics_client.URDF_IGNORE_VISUAL_SHAPES
+            self.sim.loadURDF = functools.partial(self.sim.loadURDF, flags=flags)
             self.sim.create_plane(z_offset=-0.4)
             self.sim.create_table(length=1.1, width=0.7, height=0.4, x_offset=-0.3)
             self.arm = panda(
@@ -149,10 +138,7 @@ class _World:
     def place(self, position: Array) -> Array:
         """Put the arm at rest at `position (3,)` [m] from a fresh state; return where it is."""
         self.client.restoreState(self._fresh)
-        jacobian: Any = self._jacobian
-        angles = least_squares(
-            self._error, HOME, jacobian, method="lm", xtol=1e-8, args=(position,)
-        ).x
+        angles = least_squares(self._error, HOME, method="lm", xtol=1e-8, args=(position,)).x
         self.set_joints(angles)
         self._hold(angles)
         return self._position()
@@ -209,64 +195,9 @@ class _World:
         gripper, posture = _LEVERS
         return np.concatenate([state[0] - position, -gripper * turn, posture * (angles - HOME)])
 
-    def _jacobian(self, angles: Array, _: Array) -> Array:
-        """Derivative of `_error` by the joints' angles, `(13, 7)`."""
-        still, (gripper, posture) = [0.0] * 9, _LEVERS
-        linear, angular = self.client.calculateJacobian(
-            self.body, self.arm.ee_link, still[:3], [*angles, 0.0, 0.0], still, still
-        )
-        turns = gripper * np.array(angular)[:, :7]
-        return np.concatenate([np.array(linear)[:, :7], turns, posture * np.eye(7)])
-
-
-class _Stage(_World):
-    """A world for pictures only, so that a picture changes nothing in the others."""
-
-    def __init__(self) -> None:
-        super().__init__(visible=True)
-        client = self.client
-        for body, color in ((self.table, _TABLE), (self.sim._bodies_idx["plane"], _FLOOR)):
-            client.changeVisualShape(body, -1, rgbaColor=_rgba(color))
-        self._view = client.computeViewMatrix(*_CAMERA)
-        self._projection = client.computeProjectionMatrixFOV(_ANGLE_OF_VIEW, 1.0, 0.1, 10.0)
-
-    def picture(self, angles: Array, goals: Array) -> NDArray[np.uint8]:
-        """The arm at `angles (7,)` [rad] among the blocks at `goals (G, 3)` [m], `(H, W, 3)`."""
-        self.set_joints(angles)
-        blocks = [(goal, GOALS[index % len(GOALS)]) for index, goal in enumerate(goals)]
-        for x, y, z in goals:
-            supports = np.arange(z - BLOCK, BLOCK / 4, -BLOCK)
-            blocks += [(np.array([x, y, below]), _SUPPORT) for below in supports]
-        half = np.full(3, BLOCK / 2)
-        for name, (centre, color) in enumerate(blocks):
-            self.sim.create_box(name, half, 0.0, centre, _rgba(color), ghost=True)
-        size = _SHARPNESS * _SIZE
-        rgba = self.client.getCameraImage(
-            size, size, self._view, self._projection, **_LIGHT,
-            flags=self.client.ER_NO_SEGMENTATION_MASK, renderer=self.client.ER_TINY_RENDERER,
-        )[2]  # fmt: skip
-        for name in range(len(blocks)):
-            self.client.removeBody(self.sim._bodies_idx.pop(name))
-        image = np.reshape(np.asarray(rgba, dtype=np.uint8), (size, size, 4))[..., :3]
-        return np.array(Image.fromarray(image).reduce(_SHARPNESS))
-
-
-@functools.cache
-def _stage() -> _Stage:
-    return _Stage()
-
-
-def _rgba(color: str) -> list[float]:
-    return [part / 255 for part in (*ImageColor.getrgb(color), 255)]
-
 
 _IDLE: list[_World] = []
 """Worlds without an environment, for reuse."""
-
-
-def _recycle(worlds: list[_World]) -> None:
-    _IDLE.extend(worlds)
-    worlds.clear()
 
 
 def _import() -> tuple[Any, Any]:
@@ -276,12 +207,9 @@ def _import() -> tuple[Any, Any]:
             from panda_gym.envs.robots.panda import Panda
             from panda_gym.pybullet import PyBullet
     except ImportError as cause:
-        hint = ""
-        if sys.version_info >= (3, 12):
-            version = ".".join(map(str, sys.version_info[:2]))
-            hint = f"; its pybullet has wheels up to Python 3.11 only, this is {version}"
         raise MissingExtraError(
-            f"panda-gym cannot be loaded ({cause}): pip install 'legibility[pandagym]'{hint}"
+            f"panda-gym cannot be loaded ({cause}): pip install 'legibility[pandagym]'; "
+            "its pybullet has wheels up to Python 3.11 only"
         ) from cause
     return PyBullet, Panda
 
@@ -309,8 +237,8 @@ class PandaGymBlockReach(BlockReach):
 
     ## Description
     The paper's simulator: the arm, table and physics of panda-gym (PyBullet). The task and the
-    interface are those of `PandaBlockReach`, its twin in MuJoCo. The picture shows the support of a
-    stacked block in grey and does not mark the target.
+    interface are those of `PandaBlockReach`, its twin in MuJoCo, which also draws the picture: that
+    needs the extra `panda`.
 
     ## Action Space
     `Box(-0.02, 0.02, (3,), float64)`: a commanded displacement [m] for one control step (0.04 s,

@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-import functools
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from ..checks import Array, count
+from ..checks import Array
 from ..errors import OutputError
 from ..scene import Scene
 from .colors import GOALS, INK, MUTED
 
 __all__ = ["Window", "draw_scene"]
 
-_GRID = 0.1  # [m]
-# Shares of the picture's size; in the default workspace a block is 0.06 m wide and the end
-# effector's radius is 0.02 m.
-_MARGIN, _BLOCK, _RING, _EFFECTOR, _LINE = 0.06, 0.022, 0.04, 0.0147, 0.0045
-_PAPER, _OUTSIDE, _LINES = "#ffffff", "#f4f4f6", "#ececef"
 _SMOOTH = 4
 """The picture is drawn this many times larger and reduced, for smooth edges."""
+_SIZE = 480 * _SMOOTH
+"""Pixels of the longer side before that."""
+_GRID = 0.1  # [m]
+# In the default workspace a block is 0.06 m wide and the end effector's radius is 0.02 m.
+_MARGIN, _BLOCK, _RING, _EFFECTOR = (round(share * _SIZE) for share in (0.06, 0.022, 0.04, 0.0147))
+_LINE = round(0.0045 * _SIZE)
+_PAPER, _OUTSIDE, _LINES = "#ffffff", "#f4f4f6", "#ececef"
 
 
-def draw_scene(scene: Scene, target: int, position: Array, size: int = 480) -> NDArray[np.uint8]:
-    """Draw a 2-D scene from above, `(H, W, 3)`, y up.
+def draw_scene(scene: Scene, target: int, position: Array) -> NDArray[np.uint8]:
+    """Draw a 2-D scene from above, `(H, W, 3)`, y up; the longer side has 480 pixels.
 
     A block has the colour of its index, the ring marks the target, the white disc is the end
     effector. The lines of the grid are 0.1 m apart.
@@ -35,46 +34,31 @@ def draw_scene(scene: Scene, target: int, position: Array, size: int = 480) -> N
         scene: the current scene.
         target: index of the intended goal.
         position: `(2,)` [m], of the end effector.
-        size: pixels of the longer side.
     """
-    size = count("size", size, low=64)
     low, high = scene.workspace
-    scale = size * (1 - 2 * _MARGIN) / (high - low).max()
-    image = _ground(size, scale, *low.tolist(), *high.tolist()).copy()
-    draw = ImageDraw.Draw(image)
+    scale = (_SIZE - 2 * _MARGIN) / (high - low).max()
 
     def box(point: Array, radius: float) -> tuple[float, float, float, float]:
-        x = _SMOOTH * (_MARGIN * size + scale * (point[0] - low[0]))
-        y = _SMOOTH * (_MARGIN * size + scale * (high[1] - point[1]))
-        reach = _SMOOTH * size * radius
-        return x - reach, y - reach, x + reach - 1, y + reach - 1
+        x, y = _MARGIN + scale * (point[0] - low[0]), _MARGIN + scale * (high[1] - point[1])
+        return x - radius, y - radius, x + radius - 1, y + radius - 1
 
-    for index, goal in enumerate(scene.goals):
-        corner = _SMOOTH * size * _BLOCK / 4
-        draw.rounded_rectangle(box(goal, _BLOCK), corner, GOALS[index % len(GOALS)])
-    line = round(_SMOOTH * size * _LINE)
-    draw.ellipse(box(scene.goals[target], _RING), outline=INK, width=line)
-    draw.ellipse(box(position, _EFFECTOR), _PAPER, INK, line)
-    return np.array(image.reduce(_SMOOTH))
-
-
-@functools.lru_cache(maxsize=8)
-def _ground(size: int, scale: float, x0: float, y0: float, x1: float, y1: float) -> Image.Image:
-    """The workspace with its grid and frame, to be reduced; lines are one pixel wide then."""
-    margin = _MARGIN * size
-    right, bottom = margin + scale * (x1 - x0), margin + scale * (y1 - y0)
-    image = Image.new("RGB", (round(right + margin), round(bottom + margin)), _OUTSIDE)
+    right, bottom = (_MARGIN + scale * (high - low)).round().astype(int).tolist()
+    image = Image.new("RGB", (right + _MARGIN, bottom + _MARGIN), _OUTSIDE)
     draw = ImageDraw.Draw(image)
-    frame = [round(side) for side in (margin, margin, right, bottom)]
-    draw.rectangle(frame, fill=_PAPER)
-    for x in range(math.ceil(x0 / _GRID), math.floor(x1 / _GRID) + 1):
-        column = round(margin + scale * (x * _GRID - x0))
-        draw.line((column, frame[1], column, frame[3]), fill=_LINES)
-    for y in range(math.ceil(y0 / _GRID), math.floor(y1 / _GRID) + 1):
-        row = round(bottom - scale * (y * _GRID - y0))
-        draw.line((frame[0], row, frame[2], row), fill=_LINES)
-    draw.rectangle(frame, outline=MUTED)
-    return image.resize((_SMOOTH * image.width, _SMOOTH * image.height), Image.Resampling.NEAREST)
+    draw.rectangle((_MARGIN, _MARGIN, right, bottom), _PAPER)
+    first, last = np.ceil(low / _GRID), np.floor(high / _GRID)
+    for x in np.arange(first[0], last[0] + 1) * _GRID:
+        left, _, end, _ = box(np.array([x, 0.0]), _SMOOTH / 2)
+        draw.rectangle((left, _MARGIN, end, bottom), _LINES)
+    for y in np.arange(first[1], last[1] + 1) * _GRID:
+        _, top, _, end = box(np.array([0.0, y]), _SMOOTH / 2)
+        draw.rectangle((_MARGIN, top, right, end), _LINES)
+    draw.rectangle((_MARGIN, _MARGIN, right, bottom), outline=MUTED, width=_SMOOTH)
+    for index, goal in enumerate(scene.goals):
+        draw.rounded_rectangle(box(goal, _BLOCK), _BLOCK / 4, GOALS[index % len(GOALS)])
+    draw.ellipse(box(scene.goals[target], _RING), outline=INK, width=_LINE)
+    draw.ellipse(box(position, _EFFECTOR), _PAPER, INK, _LINE)
+    return np.array(image.reduce(_SMOOTH))
 
 
 class Window:

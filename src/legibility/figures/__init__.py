@@ -9,10 +9,8 @@ import os
 import sys
 
 if "matplotlib" not in sys.modules and (_backend := os.environ.pop("MPLBACKEND", None)):
-    try:
-        import matplotlib as _matplotlib
+    import matplotlib as _matplotlib
 
-        with contextlib.suppress(ValueError):
-            _matplotlib.rcParams["backend"] = _backend
-    finally:
-        os.environ["MPLBACKEND"] = _backend
+    with contextlib.suppress(ValueError):
+        _matplotlib.rcParams["backend"] = _backend
+    os.environ["MPLBACKEND"] = _backend

@@ -7,7 +7,6 @@ confidence: from there on the observer believes in the target for good.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +23,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import KDTree
 
 from ..envs.colors import INK, MUTED
 from ..errors import InvalidInputError, OutputError
@@ -32,9 +30,8 @@ from ..files import atomic_path
 from ..intent.metrics import CONFIDENCE
 from ..rollout import Rollout
 from ..scene import Scene
-from .scene_axes import goal_colors
+from .scene_axes import ArmView, DrawnView, add_artist, diamond, goal_colors
 from .style import DOTTED, figure_file, shared_style
-from .views import ArmView, DrawnView, add_artist, diamond
 
 Picture = NDArray[np.uint8]
 
@@ -192,7 +189,7 @@ class _Stage:
             motion.show(step)
 
     def frames(self, progress: Callable[[int, int], None]) -> tuple[Picture, Iterator[Picture]]:
-        """The last picture `(H, W, 3)`, and that of each control step."""
+        """The last picture `(H, W, 3)`, and all: that of each control step, and the last held."""
         canvas = FigureCanvasAgg(self.figure)
         moving = [artist for motion in self.motions for artist in motion.moving]
         for artist in moving:
@@ -211,8 +208,10 @@ class _Stage:
             for step in range(self.last + 1):
                 progress(step, self.last + 1)
                 yield picture(step)
+            yield from [final] * round(_HOLD / self.motions[0].seconds)
 
-        return picture(self.last), pictures()
+        final = picture(self.last)
+        return final, pictures()
 
 
 class _Motion:
@@ -273,57 +272,45 @@ class _Motion:
 
 
 def _write_gif(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
-    palette = _Palette(final)  # one for all frames, so that the file holds it once
-    frames = map(palette.image, pictures)
-    hold = [palette.image(final)] * round(_HOLD / seconds)  # stored as one long frame
-    next(frames).save(
-        file, format="GIF", save_all=True, append_images=itertools.chain(frames, hold),
+    palette = _palette(final)  # one for all frames, so that the file holds it once
+
+    def image(picture: Picture) -> Image.Image:
+        return Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+
+    frames = map(image, pictures)
+    next(frames).save(  # equal frames are stored as one
+        file, format="GIF", save_all=True, append_images=frames,
         duration=round(1000 * seconds), loop=0, disposal=1, optimize=False,
     )  # fmt: skip
 
 
-class _Palette:
-    """255 colours of a picture: the most frequent exactly, and some for the rest."""
-
-    def __init__(self, picture: Picture) -> None:
-        image = Image.fromarray(picture)
-        counts: Any = image.getcolors(picture.size)
-        exact = [color for _, color in sorted(counts, reverse=True)[:_EXACT]]
-        rest = image.quantize(255 - len(exact), Image.Quantize.MAXCOVERAGE).getpalette()
-        more = np.reshape(np.array(rest, dtype=np.uint8), (-1, 3))
-        self.colors = np.concatenate([np.array(exact, dtype=np.uint8), more])[:255]
-        # The nearest colour of each bin of colours, by its middle.
-        middles = np.indices((32, 64, 32)).reshape(3, -1).T * 255 / (31, 63, 31)
-        self.nearest: Picture = np.asarray(KDTree(self.colors).query(middles)[1], dtype=np.uint8)
-        self.nearest[_bins(self.colors)[::-1]] = np.arange(len(self.colors))[::-1]
-
-    def image(self, picture: Picture) -> Image.Image:
-        """The picture `(H, W, 3)` in these colours."""
-        image = Image.fromarray(self.nearest[_bins(picture)])
-        image.putpalette(self.colors.tobytes())
-        return image
-
-
-def _bins(colors: Picture) -> NDArray[np.uint16]:
-    red, green, blue = np.moveaxis(colors.astype(np.uint16), -1, 0)
-    return (red >> 3) << 11 | (green >> 2) << 5 | blue >> 3
+def _palette(picture: Picture) -> Image.Image:
+    """A palette of 255 colours of a picture: the most frequent exactly, and some for the rest."""
+    image = Image.fromarray(picture)
+    counts: Any = image.getcolors(picture.size)
+    exact = [color for _, color in sorted(counts, reverse=True)[:_EXACT]]
+    rest: Any = image.quantize(255 - len(exact), Image.Quantize.MAXCOVERAGE).getpalette()
+    colors = {}  # one of each bin, as Pillow finds the nearest of a bin only
+    for color in [*exact, *np.reshape(rest, (-1, 3)).tolist()]:
+        colors.setdefault(tuple(part // 8 for part in color), color)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([part for color in colors.values() for part in color])
+    return palette
 
 
 def _write_mp4(file: FilePath, final: Picture, pictures: Iterator[Picture], seconds: float) -> None:
     height, width, _ = final.shape
-    rate = round(1 / seconds)
     command = [
         "ffmpeg", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24",
-        "-s", f"{width}x{height}", "-r", str(rate), "-i", "-",
+        "-s", f"{width}x{height}", "-r", str(round(1 / seconds)), "-i", "-",
         "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", str(file),
     ]  # fmt: skip
-    hold = itertools.repeat(final, round(_HOLD * rate))
     pipe = subprocess.PIPE
     with subprocess.Popen(command, bufsize=0, stdin=pipe, stderr=pipe) as encoder:
         assert encoder.stdin
         with contextlib.suppress(BrokenPipeError):  # it has ended and printed why
-            for picture in itertools.chain(pictures, hold):
+            for picture in pictures:
                 encoder.stdin.write(picture.tobytes())
         error = encoder.communicate()[1].decode(errors="replace").strip()
     if encoder.returncode:

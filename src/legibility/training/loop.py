@@ -182,7 +182,7 @@ class _State(Generic[M]):
         for p in self.parameters:  # the moments, there from the start so that they can be restored
             moments = {"exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
             self.optimizer.state[p] = {"step": torch.zeros((), device=p.device), **moments}
-        self.generator = torch.Generator()
+        self.generator, self.scaler = torch.Generator(), team.scaler()
         self.step, self.seconds = 0, 0.0
         self.rows: list[dict[str, float]] = []
 
@@ -194,13 +194,15 @@ class _State(Generic[M]):
         group["lr"] = self.config.learning_rate * _schedule(self.step, self.config)
         value, parts = loss(self.model, self.generator)
         self.optimizer.zero_grad(set_to_none=True)
-        value.backward()
+        self.scaler.scale(value).backward()
         if self.team.size > 1:
             gradients = [p.grad for p in self.parameters if p.grad is not None]
             for gradient, mean in zip(gradients, self.team.mean(gradients), strict=True):
                 gradient.copy_(mean)
+        self.scaler.unscale_(self.optimizer)
         nn.utils.clip_grad_norm_(self.parameters, 1.0)
-        self.optimizer.step()
+        self.scaler.step(self.optimizer)
+        self.scaler.update()
         decay = min(self.config.ema, (1 + self.step) / (10 + self.step))  # faster at first
         with torch.no_grad():
             for old, new in zip(self.average.parameters(), self.model.parameters(), strict=True):

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..errors import InvalidInputError
 
-_PRECISIONS = ("no", "bf16")
+_DTYPES = {"no": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
 _LAUNCHED = ("ACCELERATE_MIXED_PRECISION", "LOCAL_RANK")
 """Environment variables set by `accelerate launch` and by `torchrun`."""
@@ -28,7 +28,7 @@ class Team:
         device: of this process.
         rank: its number; 0 is the main process, which alone logs, validates and writes.
         size: number of processes.
-        precision: of the network's products: no (float32) or bf16.
+        precision: of the network's products: no (float32), bf16 or fp16.
         accelerator: that of the package accelerate, if a launcher started the processes.
     """
 
@@ -44,7 +44,7 @@ class Team:
 
         Args:
             device: cpu or cuda; if not given, accelerate's choice, or a GPU if there is one.
-            precision: no or bf16; if not given, the launcher's, or no.
+            precision: no, bf16 or fp16; if not given, the launcher's, or no.
 
         Raises:
             InvalidInputError: the device or the precision cannot be used here.
@@ -52,9 +52,9 @@ class Team:
         joined = _accelerator(device, precision)
         if joined is not None:
             precision = str(joined.mixed_precision)
-        if precision not in (None, *_PRECISIONS):
+        if precision not in (None, *_DTYPES):
             raise InvalidInputError(
-                f"precision must be one of {', '.join(_PRECISIONS)}, got {precision!r}"
+                f"precision must be one of {', '.join(_DTYPES)}, got {precision!r}"
             )
         if joined is None:
             return cls(choose_device(device), precision=precision or "no")
@@ -76,7 +76,12 @@ class Team:
 
     def autocast(self) -> Any:
         """A context in which the network computes in the team's precision."""
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16")
+        dtype = _DTYPES[self.precision]
+        return torch.autocast(self.device.type, dtype, enabled=self.precision != "no")
+
+    def scaler(self) -> torch.amp.GradScaler:
+        """Keeps small gradients from vanishing in fp16; otherwise it does nothing."""
+        return torch.amp.GradScaler(self.device.type, enabled=self.precision == "fp16")
 
     @contextmanager
     def main_first(self) -> Iterator[None]:

@@ -1,18 +1,22 @@
-"""The figures of planned paths and of a scene's archive."""
+"""The figures of a paper: planned paths, a scene's archive, the dial and the spectrum."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import ArrayLike
 
 from ..checks import Array
-from ..envs.colors import INK, MUTED
+from ..envs.colors import GOALS, INK, MUTED
+from ..envs.panda_render import Trail, arm_image
+from ..errors import InvalidInputError
+from ..evaluation.statistics import bootstrap_interval
 from ..scene import Scene
 from .scene_axes import name_ends, scene_axes, scene_cells
 from .style import (
@@ -30,12 +34,18 @@ from .style import (
 )
 
 if TYPE_CHECKING:
+    from ..evaluation.spectrum import Spectrum
     from ..motion.path import Path
 
 _COLORS = LinearSegmentedColormap.from_list(
     "ambiguous_straight_legible", ["#114b8c", "#5b93c7", "#b8b8b8", "#de6a55", "#96101f"]
 )
 _BINS = 20
+_HEIGHT, _SHARE = 2.6, 0.58
+_DPI = 300
+_TUBE = 0.0045
+_DECADE = 20
+_SHOWN = 11
 
 
 def plan_figure(path: Path, file: str | FilePath) -> None:
@@ -142,3 +152,102 @@ def archive_figure(
         label_ticks(panel.xaxis)
         panel.set_title(f"{len(pooled):,} trajectories".replace(",", "\N{NARROW NO-BREAK SPACE}"))
         name_ends(figure, axes, scene, target, trajectories)
+
+
+def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
+    """Draw asked against achieved ℓ over all scenes, and the error by level.
+
+    Thin lines are scenes, the shade holds 95 % of them.
+
+    Args:
+        result: what `evaluate_dial` returned, or its JSON.
+        file: see `figure_file`.
+
+    Raises:
+        InvalidInputError: `result` is something else.
+    """
+    try:
+        levels = np.array(result["levels"], dtype=np.float64)
+        achieved = np.array([s["achieved"] for s in result["scenes"]], dtype=np.float64)
+        errors = np.array([s["error_by_level"] for s in result["scenes"]], dtype=np.float64)
+        overall = result["overall"]
+        order = "Spearman {mean:.3f}\nworst scene {min:.3f}".format(**overall["spearman"])
+        error = "mean error {mean:.3f}".format(**overall["error"])
+        if "error_candidates" in overall:
+            error += "\nwith candidates {mean:.3f}".format(**overall["error_candidates"])
+        if not achieved.shape == errors.shape == (len(errors), len(levels)):
+            raise ValueError(f"{achieved.shape} numbers for {len(levels)} levels")
+    except (KeyError, TypeError, ValueError) as cause:
+        raise InvalidInputError(f"not a result of `legibility evaluate dial`: {cause!r}") from cause
+
+    with figure_file(file, COLUMN, 2.05) as figure:
+        left, right = figure.subplots(1, 2)
+        compare_labels(left)
+        left.set_title(order)
+        right.set(xlim=(-1, 1), xticks=(-1, 0, 1), xlabel=r"asked $\ell$")
+        right.set_title(error)
+        right.set_ylabel(r"$|$achieved − asked$|$")
+        add_lines(
+            left, [np.stack([levels, row], axis=-1) for row in achieved], linewidths=0.4, zorder=1,
+            colors=to_rgba(INK, float(np.clip(12 / len(achieved), 0.06, 0.5))),
+            rasterized=len(achieved) > 300,
+        )  # fmt: skip
+        for panel, values in ((left, achieved), (right, errors)):
+            band = np.percentile(values, (2.5, 97.5), axis=0)
+            panel.fill_between(
+                levels, *band, color=GOALS[0], alpha=0.25, lw=0, label="95 % of scenes"
+            )
+            panel.plot(levels, values.mean(axis=0), color=GOALS[0], lw=1.3, label="mean")
+        right.set_ylim(0, None)
+        right.locator_params(axis="y", nbins=4)
+        left.legend(loc="upper left", bbox_to_anchor=(-0.02, 1.04), borderpad=0)
+
+
+def spectrum_figure(spectra: Sequence[Spectrum], file: str | FilePath) -> None:
+    """Draw motions, light to dark red with ℓ, and beside them their cost L_p against ℓ.
+
+    An arm is rendered at its table, the motions of the gripper as tubes; of more than 11 levels
+    some are drawn. Costs are means with their 95 % interval.
+
+    Args:
+        spectra: one for each row.
+        file: see `figure_file`.
+    """
+    with figure_file(file, PAGE, _HEIGHT * len(spectra)) as figure:
+        cells = figure.add_gridspec(len(spectra), 2, width_ratios=[_SHARE, 1 - _SHARE])
+        for row, spectrum in enumerate(spectra):
+            _draw_motions(figure, cells[row, 0], spectrum)
+            _draw_costs(figure, cells[row, 1], spectrum)
+
+
+def _draw_motions(figure: Any, cell: Any, spectrum: Spectrum) -> None:
+    shown = np.unique(np.linspace(0, len(spectrum.levels) - 1, _SHOWN).round().astype(int))
+    motions = [spectrum.motions[i] for i in shown]
+    colors = REDS(LABELS(spectrum.levels[shown]))
+    if spectrum.angles.size:
+        axes = figure.add_subplot(cell)
+        axes.set_axis_off()
+        trails = [Trail(m, tuple(c), _TUBE) for m, c in zip(motions, colors, strict=True)]
+        size = round(PAGE * _SHARE * _DPI), round(_HEIGHT * _DPI)
+        axes.imshow(
+            arm_image(spectrum.scene, spectrum.target, spectrum.angles, trails=trails, size=size)
+        )
+        return
+    axes = scene_axes(figure, cell, spectrum.scene, spectrum.target, motions[0], spectrum.field)
+    for motion, color in zip(motions, colors, strict=True):
+        add_lines(axes, motion[None], colors=color, linewidths=1.5)
+    name_ends(figure, axes, spectrum.scene, spectrum.target, np.concatenate(motions))
+
+
+def _draw_costs(figure: Any, cell: Any, spectrum: Spectrum) -> None:
+    panel = figure.add_subplot(cell, xlim=(-1.05, 1.05), xlabel=r"legibility $\ell$")
+    panel.set_ylabel(r"cost $L_p$ (lower: more legible)")
+    label_ticks(panel.xaxis)
+    levels, means = spectrum.levels, spectrum.costs.mean(axis=1)
+    if spectrum.costs.shape[1] > 1:
+        band = np.array([bootstrap_interval(row) for row in spectrum.costs])
+        panel.fill_between(levels, *band.T, color=MUTED, alpha=0.35, lw=0, zorder=0)
+    panel.plot(levels, means, color=MUTED, lw=1, zorder=1)
+    panel.scatter(levels, means, s=26, c=REDS(LABELS(levels)), ec=INK, linewidths=0.5, zorder=2)
+    if means.max() > _DECADE * means.min():
+        panel.set_yscale("log")

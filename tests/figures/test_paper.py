@@ -5,7 +5,7 @@ import pytest
 from pictures import assert_picture, assert_vector, path_of, small_archive
 
 from legibility.errors import OutputError
-from legibility.figures.plan import archive_figure, plan_figure
+from legibility.figures.paper import archive_figure, plan_figure
 
 NINE = np.linspace(-1, 1, 9)
 
