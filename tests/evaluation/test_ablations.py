@@ -52,7 +52,7 @@ def small():
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
-        patch.setattr("legibility.evaluation.dial.plan_milliseconds", lambda *_, **__: 1.5)
+        patch.setattr("legibility.evaluation.ablations.plan_milliseconds", lambda *_, **__: 1.5)
         yield
     torch.set_num_threads(threads)
 

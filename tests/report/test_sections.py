@@ -40,7 +40,6 @@ class TestDial:
         text = text_of(section)
         assert "3 held-out random scenes with 2 to 6 goals (seed 7)" in text
         assert ("Stage 2 executes" in text) == closed_loop
-        assert ("took 7.2 ms" in text) != closed_loop
 
     def test_one_number_of_goals(self):
         document = documents.dial()
@@ -67,9 +66,6 @@ class TestExecution:
         text = text_of(execution_section(documents.execution()))
         assert "5,000 rollouts a row on 200 held-out random scenes with 2 to 6 goals" in text
         assert "half-way by 10 cm" in text
-        assert "took 0.88 ms" in text
-        assert "256 robots at once, 321 rollouts a second" in text
-        assert "on 2 threads; the environment alone ran 4,321 control steps a second" in text
         assert "a correlation of 0.9700 and an error of 0.0100" in text
 
     def test_counts_of_an_arm(self):

@@ -24,7 +24,6 @@ from ..data.configuration import DatasetConfig
 from ..data.dataset import Dataset, generate
 from ..envs import vector_type
 from ..errors import MissingExtraError, WorkerError
-from ..evaluation.execution import step_milliseconds
 from ..modulator import BACKENDS, Modulator
 from ..motion.archive import build_archive
 from ..parallel import threads
@@ -120,7 +119,12 @@ def motions(name: str, backends: Backends, config: BenchConfig) -> Rows:
     robots, seeds = config.robots if dim == 2 else config.arms, itertools.count()
 
     def step(model: Modulator) -> list[float]:
-        return [step_milliseconds(model, scene, kind, repeats=1) / 1e3]
+        seed, env = next(seeds), kind(1)
+        env.reset(seed=seed, options={"scene": scene})
+        path = model.plan(scene, 0, 0.5, seed=seed)
+        start = time.perf_counter()
+        (rollout,) = model.execute_many(env, legibility=0.5, seed=seed, paths=[path])
+        return [(time.perf_counter() - start) / len(rollout.actions)]
 
     def roll_out(model: Modulator) -> None:
         seed, env = next(seeds), kind(robots)
@@ -131,7 +135,7 @@ def motions(name: str, backends: Backends, config: BenchConfig) -> Rows:
     entries: list[Entry] = []
     for backend, model in backends.items():
         at = {"model": name, "backend": backend}
-        entries.append(("control_step_ms", at, partial(step, model), None))
+        entries.append(("control_step_ms", at, threads(1)(partial(step, model)), None))
         entries.append(("rollouts_per_second", at, timed(partial(roll_out, model)), robots))
     return _measured(entries, config)
 

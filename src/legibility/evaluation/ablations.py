@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..data.configuration import SceneStream
 from ..data.dataset import Dataset, generate
 from ..errors import InvalidInputError
 from ..files import file_hash
@@ -17,6 +18,7 @@ from ..training.configuration import FIXED_BY_DATA, PathTrainingConfig
 from ..training.loop import Run
 from ..training.path import check_data, train_path
 from ..training.team import Team
+from .common import plan_milliseconds
 from .configuration import AblationsConfig
 from .dial import evaluate_dial
 
@@ -93,7 +95,7 @@ def evaluate_ablations(
 
     Returns:
         `rows`: of each variant its `text`, whether it is `small_run`, `sha256` of its weights,
-        `overall` and `plan_ms` as of `evaluate_dial`; `data`: digest of the training data.
+        `overall` as of `evaluate_dial`, `plan_ms` on one core; `data`: digest of the training data.
 
     Raises:
         InvalidInputError: the data are of another observer than the model, or too few.
@@ -137,6 +139,7 @@ def evaluate_ablations(
         network_settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
                              "guidance": teacher.guidance}  # fmt: skip
     training = PathTrainingConfig(steps=config.training_steps)
+    scene = SceneStream("evaluation", network.dim, config.goals, config.seed).scene(0)
     result = {}
     for name, variant in rows.items():
         weights = pretrained_folder(model)
@@ -150,14 +153,17 @@ def evaluate_ablations(
             save_stage(weights, "path", trained.model, trained.record)
         settings = config.dial(variant.steps, variant.guidance)
         shown = part(config.scenes)
-        dial = evaluate_dial(Modulator.from_pretrained(weights), settings, progress=shown)
+        modulator = Modulator.from_pretrained(weights)
+        dial = evaluate_dial(modulator, settings, progress=shown)
         overall = dial["overall"]
         result[name] = {
             "text": variant.text,
             "small_run": bool(variant.scenes),
             "sha256": file_hash(weights / "path.safetensors"),
             "overall": overall,
-            "plan_ms": dial["plan_ms"],
+            "plan_ms": plan_milliseconds(
+                modulator, scene, guidance=variant.guidance, steps=variant.steps
+            ),
         }
         metrics = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
         progress(done, total, f"{variant.text}: {', '.join(metrics)}")

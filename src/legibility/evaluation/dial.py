@@ -20,7 +20,6 @@ from .common import (
     execute_paths,
     gather,
     level_steps,
-    plan_milliseconds,
     silent,
     world,
 )
@@ -69,8 +68,7 @@ def evaluate_dial(
     Returns:
         `overall`: each of `METRICS` with mean over scenes, 95 % interval, worst and best;
         `scenes`: the same of each scene, its number of goals and the labels achieved at each level;
-        `levels`: the asked levels; `plan_ms`: the time of one plan on one core of this machine,
-        before other work starts; `env`: the environment of a closed loop.
+        `levels`: the asked levels; `env`: the environment of a closed loop.
     """
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
     source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
@@ -78,9 +76,6 @@ def evaluate_dial(
     measure = partial(_measure, modulator, source, levels, config)
     advance = counter(progress, config.scenes)
     with pool(workers, cluster) as work:
-        plan_ms = plan_milliseconds(
-            modulator, source.scene(0), guidance=config.guidance, steps=config.steps
-        )
         advance(0)
         rows = gather(work, measure, range(config.scenes), lambda _: advance(1))
     names = [name for name in METRICS if name in rows[0]]
@@ -88,7 +83,6 @@ def evaluate_dial(
         **({"env": world(kind)} if kind else {}),
         "overall": {name: summary(np.array([row[name] for row in rows])) for name in names},
         "levels": levels.tolist(),
-        "plan_ms": plan_ms,
         "scenes": rows,
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -89,10 +88,7 @@ def evaluate_execution(
         `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ of
         all rollouts (not where the target moved: a label belongs to a scene), the deviation from
         the curve followed at the time over the length of the first curve, violations, and the
-        environment's counts; before other work starts, `step_ms`: see `step_milliseconds`,
-        `rollouts_per_second`: of stage 2, planning included, the first `at_once` robots on
-        `threads` threads, `env_steps_per_second`: of the environment alone, as many robots, on one
-        core; `env`; `disturbance` [m].
+        environment's counts; `env`; `disturbance` [m].
     """
     policy = modulator.path_policy
     if policy is None:
@@ -108,8 +104,6 @@ def evaluate_execution(
     advance = counter(progress, config.scenes + len(ROWS) * config.rollouts)
     rows: dict[str, dict[str, Any]] = {}
     with pool(workers, cluster) as work:
-        step_ms = step_milliseconds(modulator, source.scene(0), kind)
-        env_speed = env_steps_per_second(kind, at_once)
         scores_of = partial(_scores_of, source, modulator.config.observer)
         archives = gather(work, scores_of, range(config.scenes), lambda _: advance(1))
         scenes = [archives[i].scene for i in scene_of.tolist()]
@@ -119,10 +113,7 @@ def evaluate_execution(
             seeds = plan_seeds(config.seed, first, 3, "demonstration")
             tasks.append((next(iter(ROWS)), scenes[part], levels[part], seeds, None))
         run = partial(_rollouts, modulator, policy, kind, disturbance)
-        started = time.perf_counter()
-        parts = [run(tasks[0])]
-        speed = at_once / (time.perf_counter() - started)
-        advance(at_once)
+        parts: list[list[Rollout]] = []
         for name, row in ROWS.items():
             tasks = [(name, *task[1:]) for task in tasks]
             parts += gather(work, run, tasks[len(parts) :], lambda part: advance(len(part)))
@@ -134,16 +125,7 @@ def evaluate_execution(
             if row.disturbance == "shift":
                 for metric in ("spearman", "error", "within_5_cm"):
                     del rows[name][metric]
-    return {
-        "rows": rows,
-        "step_ms": step_ms,
-        "rollouts_per_second": speed,
-        "at_once": at_once,
-        "env_steps_per_second": env_speed,
-        "env": world(kind),
-        "disturbance": disturbance,
-        "threads": 1,
-    }
+    return {"rows": rows, "env": world(kind), "disturbance": disturbance}
 
 
 def _scores_of(source: SceneStream, observer: Observer, index: int) -> Archive:
@@ -223,35 +205,3 @@ def _interval(success: NDArray[Any], shares: Array) -> tuple[float, float]:
     """The wider of the exact interval and of the one over scenes, in which failures may gather."""
     exact, over_scenes = share_interval(success), bootstrap_interval(shares)
     return min(exact[0], over_scenes[0]), max(exact[1], over_scenes[1])
-
-
-@threads(1)
-def step_milliseconds(
-    modulator: Modulator, scene: Scene, kind: type[BlockReachVector], repeats: int = 5
-) -> float:
-    """Median time [ms] of one control step of one robot on one core, everything but planning."""
-    times = []
-    for seed in range(repeats + 1):
-        env = kind(1, max_goals=max(6, scene.num_goals))
-        env.reset(seed=seed, options={"scene": scene})
-        path = modulator.plan(scene, 0, 0.5, seed=seed)
-        start = time.perf_counter()
-        (rollout,) = modulator.execute_many(env, legibility=0.5, seed=seed, paths=[path])
-        times.append((time.perf_counter() - start) / len(rollout.actions))
-    return float(np.median(times[1:]) * 1e3)
-
-
-def env_steps_per_second(kind: type[BlockReachVector], size: int, seconds: float = 2.0) -> float:
-    """Control steps a second of the environment alone, `size` robots that move at random."""
-    env = kind(size, max_episode_steps=2**31)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    reach = env.max_displacement / 2
-    taken, started = 0, time.perf_counter()
-    while (spent := time.perf_counter() - started) < seconds:
-        if env.done.any():
-            env.reset(options={"reset_mask": env.done})
-        env.step(rng.uniform(-reach, reach, env.positions.shape))
-        taken += size
-    env.close()
-    return taken / spent

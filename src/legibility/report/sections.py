@@ -69,10 +69,7 @@ def dial_section(document: dict[str, Any]) -> list[Part]:
     if config["closed_loop"]:
         how = f"Stage 2 executes every path in {result['env']}, to within 2 cm of the target."
     else:
-        how = (
-            f"Only the row “with candidates” takes the nearest of {config['candidates']} paths. "
-            f"One plan took {result['plan_ms']:.1f} ms."
-        )
+        how = f"Only the row “with candidates” takes the nearest of {config['candidates']} paths."
     table = Table("metric", "mean over scenes", "95 % interval", "of single scenes")
     for name, values in result["overall"].items():
         ends = (*values["interval"], values["min"], values["max"])
@@ -135,10 +132,6 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
         f"The plans have a correlation of {correlation} and an error of {error}. All rows had "
         f"{', '.join(violations)} (at most {1e3 * farthest:.1f} mm outside)."
         + (f" Stage 2, undisturbed, had {', '.join(counts)}." if counts else ""),
-        f"A control step took {result['step_ms']:.2f} ms, the policy amortised over its chunk. "
-        f"With {result['at_once']} robots at once, {result['rollouts_per_second']:.0f} rollouts a "
-        f"second were planned and executed on {threads_of(result)}; the environment alone ran "
-        f"{result['env_steps_per_second']:,.0f} control steps a second.",
     ]
 
 
