@@ -196,9 +196,7 @@ class TestReproducible:
         scene = SCENES[2]
         turned = lg.Scene(scene.start, scene.goals[::-1])
         np.testing.assert_allclose(
-            flat.plan(scene, 1, LEVELS).waypoints,
-            flat.plan(turned, 0, LEVELS).waypoints,
-            atol=1e-6,
+            flat.plan(scene, 1, LEVELS).waypoints, flat.plan(turned, 0, LEVELS).waypoints, atol=1e-6
         )
 
     def test_moved_and_scaled_scene_has_the_moved_and_scaled_path(self):

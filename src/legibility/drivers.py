@@ -17,8 +17,6 @@ from .motion.tracking import PathTracker, feedback_action
 if TYPE_CHECKING:
     from .models.onnx import OnnxPathPolicy
 
-__all__ = ["Driver", "Feedback", "Policy", "Replay", "RobotStates"]
-
 
 @dataclass(frozen=True, eq=False)
 class RobotStates:

@@ -200,11 +200,12 @@ class Modulator:
             InvalidInputError: an argument is out of its range.
             InvalidSceneError: a scene has another dimension than the model.
         """
-        scenes = list(scenes)
+        if isinstance(scenes, Scene) or not len(scenes):
+            raise InvalidInputError(
+                "scenes must be a list of at least one; plan takes a single one"
+            )
         for scene in scenes:
             self._check_scene(scene)
-        if not scenes:
-            raise InvalidInputError("scenes must be at least one, got none")
         indices = [
             target_index(target, scene.num_goals)
             for scene, target in zip(scenes, for_each("targets", targets, len(scenes)), strict=True)

@@ -135,7 +135,7 @@ def follow(
         tolerance: [m].
 
     Raises:
-        InvalidInputError: a path is not finite, has other waypoints or starts elsewhere.
+        InvalidInputError: a path is not finite, has other waypoints, or starts or ends elsewhere.
     """
     _check_paths(paths, fleet)
     run = _Run(fleet, paths, driver)
@@ -263,9 +263,9 @@ class _Run:
 
 
 def _check_paths(paths: list[Path], fleet: Fleet) -> None:
-    """Raise unless every path is finite and starts at its robot."""
+    """Raise unless every path is finite and leads from its robot to the intended goal."""
     shape = (NUM_WAYPOINTS + 2, fleet.workspace.shape[1])
-    for path, position in zip(paths, fleet.positions, strict=True):
+    for path, position, goal in zip(paths, fleet.positions, fleet.goals, strict=True):
         if path.waypoints.shape != shape:
             raise InvalidInputError(
                 f"a path must have waypoints of shape {shape}, got {path.waypoints.shape}"
@@ -276,4 +276,9 @@ def _check_paths(paths: list[Path], fleet: Fleet) -> None:
             raise InvalidInputError(
                 f"a path must start at the robot, {position.tolist()}, "
                 f"got {path.waypoints[0].tolist()}"
+            )
+        if np.linalg.norm(goal - path.waypoints[-1]) > 1e-6:
+            raise InvalidInputError(
+                f"a path must end at the intended goal, {goal.tolist()}, "
+                f"got {path.waypoints[-1].tolist()}"
             )

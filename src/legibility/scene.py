@@ -15,23 +15,21 @@ from .files import read_document, write_bytes, write_json
 
 __all__ = ["DEFAULT_WORKSPACE", "MIN_SEPARATION", "Scene"]
 
-DEFAULT_WORKSPACE = {
-    2: ((-0.1, -0.1), (1.1, 1.1)),
-    3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40)),
-}
+DEFAULT_WORKSPACE = {2: ((-0.1, -0.1), (1.1, 1.1)), 3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40))}
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
 
 MIN_SEPARATION = 0.12
 """Least distance between two points of a random scene, as a share of the workspace's diagonal; the
 start keeps twice that from the target."""
 
-START_OVERSHOOT = 0.03
-"""Largest excess of a start beyond a wall, as a share of the workspace's diagonal: 51 mm in 2-D,
-24 mm at the Panda's table, where the simulated arms overshoot by up to 22 mm."""
+_ROUNDING = 1e-6
+
+START_OVERSHOOT = {2: _ROUNDING, 3: 0.03}
+"""Largest excess of a start beyond a wall, as a share of the workspace's diagonal: 24 mm at the
+Panda's table, where the simulated arms overshoot by up to 22 mm."""
 
 _AT_START, _BESIDE = 1e-4, 1e-5
 _BLOCK_HEIGHT = 0.04
-_ROUNDING = 1e-6
 _KEYS = ("start", "goals", "workspace")
 
 
@@ -66,7 +64,8 @@ class Scene:
         corners = finite_array("workspace", corners, ndim=2, last=dim, error=error)
         if len(corners) != 2 or (corners[0] >= corners[1]).any():
             raise error(f"workspace must be a low and a high corner, got {corners.tolist()}")
-        start, goals = _snapped(start, corners, START_OVERSHOOT), _snapped(goals, corners)
+        start = _snapped(start, corners, START_OVERSHOOT[dim])
+        goals = _snapped(goals, corners)
         for name, array in (("start", start), ("goals", goals), ("workspace", corners)):
             array = array + 0.0  # a copy, with −0 turned into 0 so that equal scenes hash alike
             array.setflags(write=False)
@@ -205,6 +204,8 @@ class Scene:
             num_goals: G, 2 to 12; drawn from 2 to 6 if not given.
             target: index of the goal that the start keeps away from.
         """
+        if not isinstance(rng, np.random.Generator):
+            raise InvalidInputError(f"rng must be a numpy.random.Generator, got {rng!r}")
         if dim not in (2, 3):
             raise InvalidInputError(f"dim must be 2 or 3, got {dim!r}")
         if num_goals is None:

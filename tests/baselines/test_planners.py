@@ -6,12 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import legibility as lg
-from legibility.baselines.planners import (
-    archive_path,
-    candidates_within,
-    search,
-    straight_path,
-)
+from legibility.baselines.planners import archive_path, candidates_within, search, straight_path
 from legibility.errors import InvalidInputError
 
 OBSERVER = lg.Observer()

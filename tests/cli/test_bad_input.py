@@ -17,10 +17,7 @@ SCENES = {
     "empty": ("", "a scene must be a mapping"),
     "malformed": ("start: [0, 0.5\n", "not valid YAML"),
     "no goals": ("start: [0, 0.5]\n", "missing"),
-    "exponent": (
-        "start: [0, 5e-1]\ngoals: [[0.8, 0.6], [1, 0.3]]\n",
-        "write 0.5",
-    ),
+    "exponent": ("start: [0, 5e-1]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "write 0.5"),
     "yes": ("start: [yes, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "numbers"),
     "twice": ("start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nstart: [0, 0]\n", "repeated"),
     "4D": ("start: [0, 0, 0, 0]\ngoals: [[1, 0, 0, 0], [0, 1, 0, 0]]\n", "2 or 3 numbers"),

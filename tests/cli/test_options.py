@@ -88,8 +88,7 @@ def test_flags_leave_out_what_is_given_otherwise():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [("--size 10", "at most 9"), ("--goals 6..2", "goals must")],
+    ("arguments", "message"), [("--size 10", "at most 9"), ("--goals 6..2", "goals must")]
 )
 def test_mistakes_in_flags_are_told_in_our_words(arguments, message):
     parsed = tyro.cli(flags(Settings), args=arguments.split())

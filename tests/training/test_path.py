@@ -6,15 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from trainings import (
-    CPU,
-    SHORT,
-    TINY,
-    assert_same_run,
-    rows,
-    stop_at,
-    tiny_diffuser,
-)
+from trainings import CPU, SHORT, TINY, assert_same_run, rows, stop_at, tiny_diffuser
 
 from legibility.curves import path_curve
 from legibility.data.configuration import DatasetConfig

@@ -1,5 +1,6 @@
 """Speed and memory on this machine: planning, control, data and training."""
 
-from .run import BenchConfig, run_bench
+from .configuration import BenchConfig
+from .run import run_bench
 
 __all__ = ["BenchConfig", "run_bench"]

@@ -33,7 +33,7 @@ from ..training.configuration import PathTrainingConfig
 from ..training.loop import Run
 from ..training.path import train_path
 from ..training.team import Team, choose_device
-from .run import BenchConfig
+from .configuration import BenchConfig
 
 Rows = list[dict[str, Any]]
 Backends = dict[str, Modulator]

@@ -112,7 +112,8 @@ def _header(lines: Sequence[str]) -> _Header | None:
         header = max(options, key=lambda option: sum(name in _KNOWN for name in option.names))
         first = first or header
         if not is_comment or any(name in _AXES for name in header.names):
-            return header
+            is_data = all(map(_is_number, header.names))
+            return first if is_data and len(first.names) == len(header.names) else header
     return first
 
 
@@ -131,7 +132,9 @@ def _columns(header: _Header, scene: Scene) -> list[str]:
         raise InvalidInputError(
             f"there is no header: the first line must name the columns, as {example}"
         )
-    if not set(axes) <= set(names) or ("z" in names and scene.dim == 2):
+    if "z" in names and scene.dim == 2:
+        raise InvalidInputError("the scene is 2D, but there is a column z: remove one or the other")
+    if not set(axes) <= set(names):
         shown = ", ".join(name or "a column without a name" for name in names)
         raise InvalidInputError(
             f"the scene is {scene.dim}D: columns {', '.join(axes)} are needed, got {shown}"
@@ -165,7 +168,7 @@ def _row(
         if not math.isfinite(row[-1]):
             raise InvalidInputError(f"{column} must be finite, got {text}")
     point = row[: scene.dim]
-    if not scene.contains(point, START_OVERSHOOT * scene.diagonal):
+    if not scene.contains(point, START_OVERSHOOT[scene.dim] * scene.diagonal):
         raise InvalidInputError(f"{point} lies outside the workspace {scene.workspace.tolist()}")
     return name, row
 

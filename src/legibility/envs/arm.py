@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from ..checks import Array
 from .block_reach import BlockReachVector
 
-__all__ = ["BASE", "BLOCK", "HOME", "JOINT_LIMITS", "VELOCITY_LIMITS", "ArmVector"]
-
 JOINT_LIMITS = np.array([
     [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
     [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],

@@ -19,8 +19,6 @@ from ..errors import InvalidInputError, InvalidSceneError
 from ..scene import DEFAULT_WORKSPACE, Scene
 from . import MAX_EPISODE_STEPS
 
-__all__ = ["BlockReachVector", "check_render_mode"]
-
 _OPTIONS = ("scene", "target", "num_goals", "noise", "push", "shift")
 _RADIUS = 0.02
 _SLOW = 0.2

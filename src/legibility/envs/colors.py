@@ -1,6 +1,4 @@
 """Colours of figures and environments, chosen for colour-blind readers too."""
 
-__all__ = ["GOALS", "INK", "MUTED"]
-
 INK, MUTED = "#222222", "#8a8a8a"
 GOALS = ("#c1121f", "#009e73", "#0072b2", "#e69f00", "#cc79a7", "#56b4e9", "#7f5539")

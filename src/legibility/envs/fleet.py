@@ -15,8 +15,6 @@ from ..errors import InvalidInputError, LegibilityError
 from ..scene import Scene
 from .block_reach import BlockReachVector
 
-__all__ = ["Fleet", "is_vector", "safe_actions"]
-
 _ADVICE = "make it with gymnasium.make_vec(…, vectorization_mode='vector_entry_point')"
 
 

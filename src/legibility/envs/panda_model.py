@@ -16,8 +16,6 @@ from ..checks import Array
 from ..errors import MissingExtraError
 from .arm import BASE, HOME
 
-__all__ = ["JOINT_MARGIN", "Kinematics", "Simulation", "import_mujoco", "physics", "specification"]
-
 _SHOULDER = np.array([BASE[0], BASE[1], BASE[2] + 0.333])
 _WRIST = np.array([-0.088, 0.1034 + 0.107])
 """From the grasp point to the wrist, away from the base and up, with the gripper down [m]."""

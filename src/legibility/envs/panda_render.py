@@ -24,8 +24,6 @@ from .arm import BLOCK
 from .colors import GOALS, INK
 from .panda_model import import_mujoco, physics, specification
 
-__all__ = ["Trail", "arm_image"]
-
 _STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
 _SMOOTH, _FINE = 2, 3
 """The picture is drawn this many times larger and reduced, with OpenGL and as a sketch."""

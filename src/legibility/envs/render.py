@@ -11,8 +11,6 @@ from ..errors import OutputError
 from ..scene import Scene
 from .colors import GOALS, INK, MUTED
 
-__all__ = ["Window", "draw_scene"]
-
 _SMOOTH = 4
 """The picture is drawn this many times larger and reduced, for smooth edges."""
 _SIZE = 480 * _SMOOTH

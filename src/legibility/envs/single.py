@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from ..checks import Array, finite_array, random_seed
 from .block_reach import BlockReachVector, check_render_mode
 
-__all__ = ["BlockReach"]
-
 
 class BlockReach(gymnasium.Env[dict[str, Any], Array]):
     """One robot: a vector of one, of type `batch_type`, behind Gymnasium's interface.

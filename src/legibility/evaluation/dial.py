@@ -14,15 +14,7 @@ from ..envs import vector_type
 from ..modulator import Modulator
 from ..parallel import pool, threads
 from ..seeds import plan_seeds
-from .common import (
-    Progress,
-    counter,
-    execute_paths,
-    gather,
-    level_steps,
-    silent,
-    world,
-)
+from .common import Progress, counter, execute_paths, gather, level_steps, silent, world
 from .configuration import DialConfig
 from .statistics import rank_correlation, summary
 

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike
 from ..checks import Array, count, finite_array, goals_array, positive, prior_array, target_index
 from ..errors import InvalidInputError
 
-__all__ = ["InformationPotentialField", "potential_of_odds"]
-
 
 @dataclass(frozen=True, eq=False, init=False)
 class InformationPotentialField:

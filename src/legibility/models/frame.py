@@ -68,19 +68,15 @@ class Frame:
 
 
 def check_scale(scene: Scene, name: str) -> None:
-    """Raise unless the scene is about as large as those on which the model `name` was trained.
+    """Raise `InvalidSceneError` unless the workspace is about as large as the model's in training.
 
-    Raises:
-        InvalidSceneError: its points are too far apart or its workspace is too small.
+    In others the labels of the network and of the archive mean different motions.
     """
     trained = math.dist(*DEFAULT_WORKSPACE[scene.dim])
-    high = np.maximum(scene.start, scene.goals.max(axis=0))
-    size = math.dist(high, np.minimum(scene.start, scene.goals.min(axis=0)))
-    if scene.diagonal < trained / LARGEST_SCALE or size > trained * LARGEST_SCALE:
-        part, size = ("scene", size) if size > trained else ("workspace", scene.diagonal)
+    if not trained / LARGEST_SCALE <= scene.diagonal <= trained * LARGEST_SCALE:
         raise InvalidSceneError(
-            f"the {part} is {size:.3g} m across; the model {name} plans in scenes of about "
-            f"{trained:.2g} m: give metres"
+            f"the workspace is {scene.diagonal:.3g} m across; the model {name} plans in workspaces "
+            f"of about {trained:.2g} m: give metres"
         )
 
 

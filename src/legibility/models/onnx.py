@@ -124,11 +124,13 @@ def load_graph(model: PathDiffuser | PathPolicy, folder: str | Path | None = Non
     Raises:
         MissingExtraError: the graph must be exported and onnxscript is not installed.
     """
+    _onnxruntime()
     if folder is None:
         return export_graph(model)
     file = Path(folder) / ("path.onnx" if isinstance(model, PathDiffuser) else "policy.onnx")
     if file.is_file() and _fingerprint(model).encode() in (graph := file.read_bytes()):
         return graph
+    warnings.warn(f"exporting {file.name}, which takes up to a minute, once", stacklevel=4)
     graph = export_graph(model)
     with contextlib.suppress(OutputError):
         write_bytes(file, graph)
@@ -243,6 +245,16 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
+def _onnxruntime() -> Any:
+    try:
+        import onnxruntime
+    except ImportError as cause:
+        raise MissingExtraError(
+            "onnxruntime is not installed: pip install 'legibility[onnx]'"
+        ) from cause
+    return onnxruntime
+
+
 def _tensors(model: nn.Module) -> dict[str, Tensor]:
     """Parameters and buffers by their names in a graph."""
     named = (*model.named_parameters(), *model.named_buffers())
@@ -251,23 +263,20 @@ def _tensors(model: nn.Module) -> dict[str, Tensor]:
 
 def _session(model: nn.Module, graph: bytes) -> tuple[Any, list[Any]]:
     """An onnxruntime session on one thread, and the weights that it reads."""
-    try:
-        import onnxruntime
-    except ImportError as cause:
-        raise MissingExtraError(
-            "onnxruntime is not installed: pip install 'legibility[onnx]'"
-        ) from cause
-    listed = re.search(rb"<weights>(.*?)</weights>", graph)
-    names = listed[1].decode().split() if listed else []
+    onnxruntime = _onnxruntime()
     tensors = _tensors(model)
-    arrays = [np.array(tensors[name].detach().numpy(), np.float32, order="C") for name in names]
-    weights = [onnxruntime.OrtValue.ortvalue_from_numpy(array) for array in arrays]
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    options.add_external_initializers(names, weights)
+    options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+        listed = re.search(rb"<weights>(.*?)</weights>", graph)
+        names = listed[1].decode().split() if listed else []
+        arrays = [np.array(tensors[n].detach().numpy(), np.float32, order="C") for n in names]
+        weights = [onnxruntime.OrtValue.ortvalue_from_numpy(array) for array in arrays]
+        options.add_external_initializers(names, weights)
+        session = onnxruntime.InferenceSession(
+            graph, options, providers=["CPUExecutionProvider"], enable_fallback=False
+        )
     except Exception as cause:  # onnxruntime has one class an error, and no base class for them
         raise CheckpointError(f"onnxruntime cannot run the model's graph: {cause}") from cause
     return session, [arrays, weights]

@@ -133,8 +133,8 @@ class PathDiffuser(nn.Module):
         self.signal: Tensor  # ᾱ at each diffusion step, set by training
         self.register_buffer("signal", torch.ones(config.diffusion_steps))
         self.straight: Tensor  # the waypoints of the straight line
-        straight = torch.zeros(NUM_WAYPOINTS, config.dim)
-        straight[:, 0] = torch.arange(1, NUM_WAYPOINTS + 1) / (NUM_WAYPOINTS + 1)
+        straight = torch.zeros(NUM_WAYPOINTS, config.dim, dtype=torch.float32)
+        straight[:, 0] = torch.linspace(0, 1, NUM_WAYPOINTS + 2, dtype=torch.float32)[1:-1]
         self.register_buffer("straight", straight, persistent=False)
 
     def conditions(self, scenes: list[Scene], targets: list[int]) -> Conditions:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..checks import Array, count
 from ..curves import NUM_WAYPOINTS, arc_length, path_curve
+from ..errors import InvalidInputError
 from ..intent.field import InformationPotentialField
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
@@ -78,8 +79,16 @@ class Path:
         """The label in [−1, 1] that the trajectory achieves in the scene's archive, `(B?)`."""
         return self.archive.label_of(self.score)
 
+    def __len__(self) -> int:
+        """B, the number of levels."""
+        if not self.legibility.ndim:
+            raise InvalidInputError("the path has one level only: use it as it is")
+        return len(self.legibility)
+
     def __getitem__(self, index: int) -> Path:
         """The path of one level of several."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"the path has {len(self)} levels, got index {index}")
         return replace(
             self,
             legibility=self.legibility[index],
