@@ -1,7 +1,5 @@
 """Robot motion with a dial for legibility, from most ambiguous (−1) to most legible (1)."""
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

@@ -1,7 +1,5 @@
 """Checks of arguments, shared by all modules: each returns the value as an array or raises."""
 
-from __future__ import annotations
-
 import operator
 import secrets
 from typing import Any

@@ -1,7 +1,5 @@
 """Curves as points `(..., T, D)`: length, resampling at equal arc length, splines, deviation."""
 
-from __future__ import annotations
-
 import functools
 import math
 

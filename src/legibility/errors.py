@@ -4,18 +4,6 @@ All of them derive from `LegibilityError`, so one ``except`` catches them; the c
 their message in one line and exits with status 2.
 """
 
-__all__ = [
-    "CheckpointError",
-    "DatasetError",
-    "InvalidInputError",
-    "InvalidSceneError",
-    "LegibilityError",
-    "MissingExtraError",
-    "OutputError",
-    "TrainingError",
-    "WorkerError",
-]
-
 
 class LegibilityError(Exception):
     """Base of all errors of this package."""

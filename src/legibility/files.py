@@ -4,8 +4,6 @@ A leading `~` of a path is the user's home folder. JSON and YAML are read withou
 keys and numbers that programs read differently are errors.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -35,8 +35,6 @@ from .motion.path import Path, scene_archive, straight_waypoints
 from .rollout import Rollout, follow
 from .scene import MIN_SEPARATION, Scene
 
-__all__ = ["BACKENDS", "Modulator"]
-
 BACKENDS = ("torch", "onnx")
 """What may run the networks."""
 
@@ -195,10 +193,6 @@ class Modulator:
             targets: index of the intended goal, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             seed, num_candidates, guidance, steps: see `plan`.
-
-        Raises:
-            InvalidInputError: an argument is out of its range.
-            InvalidSceneError: a scene has another dimension than the model.
         """
         if isinstance(scenes, Scene) or not len(scenes):
             raise InvalidInputError(
@@ -299,10 +293,6 @@ class Modulator:
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             paths: `B` paths to follow instead of planning; they must start at the robots.
             seed, replan, tolerance, num_candidates, guidance, steps, driver: see `execute`.
-
-        Raises:
-            InvalidInputError: an argument is out of its range or does not fit the environment.
-            CheckpointError: the model has no stage 2.
         """
         seed = seed_or_entropy("seed", seed)
         if driver is None:

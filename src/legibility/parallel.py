@@ -4,8 +4,6 @@ Results come as they are ready, each once, even if workers die. Function, items 
 by pickle, so no shared file system is needed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import logging

@@ -1,7 +1,5 @@
 """Closed-loop execution: robots follow their paths until each reaches its goal or is stopped."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,8 +15,6 @@ from .errors import InvalidInputError
 from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .motion.path import Path
 from .motion.tracking import PathTracker
-
-__all__ = ["Replan", "Rollout", "follow"]
 
 Replan = Callable[[list[int], Array], list[Path]]
 """New paths for some robots, given their indices and positions `(N, D)` [m]."""

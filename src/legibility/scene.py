@@ -13,8 +13,6 @@ from .checks import Array, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
 from .files import read_document, write_bytes, write_json
 
-__all__ = ["DEFAULT_WORKSPACE", "MIN_SEPARATION", "Scene"]
-
 DEFAULT_WORKSPACE = {2: ((-0.1, -0.1), (1.1, 1.1)), 3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40))}
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
 

@@ -1,7 +1,5 @@
 """Seed streams: training, validation and reported evaluations never share a seed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 STREAMS = ("train", "validation", "evaluation")

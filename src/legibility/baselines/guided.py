@@ -1,7 +1,5 @@
 """Diffusion Policy and Legibility Diffuser in closed loop."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Paths without learning: the straight line, the archive's trajectories, and random search."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Trained baselines by the name of their method."""
 
-from __future__ import annotations
-
 from ..errors import CheckpointError, InvalidInputError
 from ..models.goal_policy import GoalPolicy
 from ..models.pretrained import load_stages, pretrained_folder

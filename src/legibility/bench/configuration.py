@@ -1,7 +1,5 @@
 """The settings of the bench."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ..checks import count, positive

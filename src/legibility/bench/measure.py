@@ -1,7 +1,5 @@
 """The measurements of the bench, robust to background load; rows are those of `run_bench`."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -1,7 +1,5 @@
 """The bench: its configuration and the order of its measurements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -31,10 +29,6 @@ def run_bench(
         `memory_mb` (peak) by `model` and `backend`; `archive_ms`, `candidates_per_second`,
         `scenes_per_second` (one process) and `training_steps_per_second` (also by `precision`) by
         `dim`; `import_ms`.
-
-    Raises:
-        InvalidInputError: there are no models, or the device cannot be used.
-        CheckpointError: weights are missing or corrupted.
     """
     import torch
 

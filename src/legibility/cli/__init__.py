@@ -3,8 +3,6 @@
 A verb's file is imported only when it is called, so that help and errors appear at once.
 """
 
-from __future__ import annotations
-
 import importlib
 import io
 import os

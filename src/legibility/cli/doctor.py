@@ -1,7 +1,5 @@
 """`legibility doctor`."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import platform

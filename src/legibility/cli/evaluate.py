@@ -1,7 +1,5 @@
 """`legibility evaluate …`."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Arguments that verbs share, beyond tyro's own types."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import re

@@ -1,7 +1,5 @@
 """Output of the verbs: the JSON envelope, checks of output files, tables and progress."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

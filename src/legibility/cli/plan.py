@@ -1,7 +1,5 @@
 """`legibility plan`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..checks import count

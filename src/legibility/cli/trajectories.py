@@ -1,7 +1,5 @@
 """Trajectories as CSV: a row a point, columns x, y[, z], and optionally `trajectory` and `t`."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

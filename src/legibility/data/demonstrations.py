@@ -112,14 +112,10 @@ def demonstrate(
     Args:
         folder: of the dataset.
         config: the settings.
-        workers: processes on this machine.
-        cluster: a Dask cluster, see `generate`.
-        progress: called with the number of shards done and that of all.
+        workers, cluster, progress: see `generate`.
 
     Raises:
         DatasetError: there is no complete dataset, or demonstrations of another configuration.
-        OutputError: the folder cannot be written.
-        WorkerError: there are no workers, or they die again and again.
     """
     folder = Path(folder)
     data = Dataset.load(folder)

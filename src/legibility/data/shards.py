@@ -4,8 +4,6 @@ A folder holds a manifest and shards. A shard is written atomically and carries 
 so an interrupted run resumes.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -56,21 +54,16 @@ def make_shards(
     """Make the shards that are missing and the manifest.
 
     Args:
-        folder: of the shards; made if it is missing.
-        manifest: its file name.
         config: plain values that fix the bytes together with the code.
-        names: of the shards.
-        make: a shard's bytes from its source; it runs in other processes, and the bytes are written
-            here, so that no folder is shared (a shard is about 1 MB).
+        names: of the shards' files.
+        make: a shard's bytes from its source. It runs in other processes, and the bytes are written
+            here, so no folder is shared (a shard is about 1 MB).
         counts: numbers of items, for the manifest.
         source: of shard i, read here; its number if not given.
-        workers: processes on this machine, see `pool`.
-        cluster: see `pool`.
-        progress: called with the number of shards done and that of all.
+        workers, cluster: see `pool`.
 
     Raises:
         DatasetError: the folder holds shards of another configuration.
-        OutputError, WorkerError: see `pool` and `write_bytes`.
     """
     if (folder / manifest).exists():
         old = _read_manifest(folder, manifest)

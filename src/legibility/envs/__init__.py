@@ -12,14 +12,6 @@ from ..errors import InvalidInputError
 if TYPE_CHECKING:
     from .block_reach import BlockReachVector
 
-__all__ = [
-    "DEFAULT_ENVIRONMENT",
-    "ENVIRONMENTS",
-    "MAX_EPISODE_STEPS",
-    "environment_dim",
-    "vector_type",
-]
-
 MAX_EPISODE_STEPS = 400
 
 ENVIRONMENTS = {

@@ -1,7 +1,5 @@
 """The Franka Panda in both simulators: its limits, its task space and the events counted."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import ClassVar
 

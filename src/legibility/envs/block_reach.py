@@ -1,7 +1,5 @@
 """The block reaching task for any robot: scenes, targets, success and disturbances, in metres."""
 
-from __future__ import annotations
-
 import copy
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence

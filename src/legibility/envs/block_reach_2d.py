@@ -1,15 +1,11 @@
 """The 2-D block reaching task: a point end effector among coloured blocks, in metres."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array
 from .block_reach import BlockReachVector
 from .single import BlockReach
-
-__all__ = ["BlockReach2D", "BlockReach2DVector"]
 
 
 class BlockReach2DVector(BlockReachVector):

@@ -1,7 +1,5 @@
 """One interface to one environment or a vector of them, and the last check of their actions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The block reaching task with a Franka Panda in MuJoCo."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,8 +9,6 @@ from ..checks import Array
 from .arm import JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
 from .panda_model import JOINT_MARGIN, Kinematics, Simulation
 from .single import BlockReach
-
-__all__ = ["PandaBlockReach", "PandaBlockReachVector"]
 
 _SPEED_SHARE = 0.9
 """Share of the joints' greatest speeds that the reference may use."""

@@ -1,7 +1,5 @@
 """The block reaching task in panda-gym, the paper's simulator: a Franka Panda in PyBullet."""
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import ctypes
@@ -19,8 +17,6 @@ from ..checks import Array
 from ..errors import InvalidInputError, MissingExtraError
 from .arm import BASE, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
 from .single import BlockReach
-
-__all__ = ["PandaGymBlockReach", "PandaGymBlockReachVector"]
 
 _ARM, _FINGERS = list(range(7)), [9, 10]
 _DOWN = np.array([1.0, 0.0, 0.0, 0.0])

@@ -1,7 +1,5 @@
 """The picture of a 2-D scene with the end effector in it, and a window for any picture."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw

@@ -1,7 +1,5 @@
 """One robot of the block reaching task, behind Gymnasium's interface."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Ablations of stage 1: the dial without a part of it, or with more or less of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -85,13 +83,8 @@ def evaluate_ablations(
     Args:
         model: name of weights that came with the package, or a folder.
         data: labelled trajectories with anchored labels; small runs learn their first scenes.
-        folder: of rank-labelled and validation data, and of each small run's checkpoint, log and
-            weights.
-        config: the rows and their measurement.
-        workers: processes that make data.
-        device: of small runs; a GPU where there is one.
-        progress: called with the number of scenes and optimiser steps done, that of all, and a line
-            for each row.
+        folder: of the other data, and of each small run's checkpoint, log and weights.
+        progress: called with the scenes and steps done, that of all, and a line for each row.
 
     Returns:
         `rows`: of each variant its `text`, whether it is `small_run`, `sha256` of its weights,

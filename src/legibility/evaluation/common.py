@@ -1,7 +1,5 @@
 """Steps that the evaluations share: levels, results in order, executions in batches, timing."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any

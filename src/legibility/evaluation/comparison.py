@@ -1,7 +1,5 @@
 """The paired comparison of the modulator with its baselines: Table I and held-out scenes."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """The settings of each evaluation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ..checks import bounded, count, random_seed

@@ -1,7 +1,5 @@
 """The compared methods, and their executed motions on the same scenes, robots and seeds."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """The exactness of the dial: asked against achieved label on held-out scenes."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

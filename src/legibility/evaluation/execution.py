@@ -1,7 +1,5 @@
 """Closed-loop execution of plans on held-out scenes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Statistics of the evaluations: intervals over scenes and of shares, paired tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

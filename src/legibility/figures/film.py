@@ -4,8 +4,6 @@ A trail has the colour of the observer's belief at that moment, and a diamond ma
 confidence: from there on the observer believes in the target for good.
 """
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import subprocess

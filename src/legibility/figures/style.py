@@ -1,7 +1,5 @@
 """The shared style of all figures: widths for a paper in two columns, fonts and colours."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path as FilePath

@@ -1,7 +1,5 @@
 """The information potential field: how clearly each point reveals the target."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass

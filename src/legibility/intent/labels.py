@@ -3,15 +3,11 @@
 `scores` are `(N,)` of one scene and target, higher = more legible.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array, finite_array
 from ..errors import InvalidInputError
-
-__all__ = ["LABELS", "anchored_label", "label_knots", "rank_label"]
 
 LABELS = ("anchored", "rank")
 """The two ways to label; `anchored` is the default everywhere."""

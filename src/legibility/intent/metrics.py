@@ -10,8 +10,6 @@ Every function is vectorised over leading axes and takes these arguments:
   `InformationPotentialField.posterior` or `dragan_posterior`. Progress t runs from 0 to 1.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import Literal
 

@@ -13,8 +13,6 @@ from .field import InformationPotentialField
 from .labels import LABELS, anchored_label, rank_label
 from .metrics import DEFAULT_ALPHA, legibility_score
 
-__all__ = ["DEFAULT_OBSERVER", "Observer"]
-
 _PAPER_SIGMA = {2: 0.15, 3: 0.08}
 
 

@@ -1,7 +1,5 @@
 """Tensors on disk: safetensors with a JSON header, written atomically, loaded strictly."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

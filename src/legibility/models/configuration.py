@@ -1,7 +1,5 @@
 """The settings that fix a network's shape and meaning, as `config.json` stores them."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """What both stages share of diffusion: the noise schedule and a deterministic sampler."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

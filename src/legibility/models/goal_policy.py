@@ -4,8 +4,6 @@ Without guidance it is a goal-conditioned Diffusion Policy (Chi et al. 2024), wi
 Diffuser (Bronars, Cheng & Xu 2024).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

@@ -1,7 +1,5 @@
 """The networks of stage 1: a CNN over the field's image and a FiLM-conditioned 1-D U-Net."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import torch

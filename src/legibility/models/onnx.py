@@ -4,8 +4,6 @@ A graph depends on a stage's settings, not on its weights: a session takes those
 a file of less than 100 kB beside the weights is enough, and retraining needs no new export.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Weights of models in folders: `config.json` and a file of tensors for each stage."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ elites until hardly any new cell fills. A curve belongs to the cell of the works
 deviating point lies in, and a cell keeps its smoothest curve.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +19,6 @@ from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import DEFAULT_OBSERVER, Observer
 from ..scene import Scene
 from .bezier import bending_energy, bezier_trajectories, straight_controls
-
-__all__ = ["Archive", "CurveGrid", "build_archive", "random_controls"]
 
 _BATCH = 1024
 _REACH = 1 / 3

@@ -1,7 +1,5 @@
 """Cubic Bézier curves (Hwang et al. 2003), many at a time, discretised at equal arc length."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

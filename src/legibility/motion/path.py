@@ -16,8 +16,6 @@ from ..intent.observer import Observer
 from ..scene import Scene
 from .archive import Archive, build_archive
 
-__all__ = ["Path", "scene_archive", "straight_waypoints"]
-
 
 @dataclass(frozen=True, eq=False)
 class Path:

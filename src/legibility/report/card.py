@@ -1,7 +1,5 @@
 """Model cards: how weights were made and how good they are."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The folder of results and the page that shows it all."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path

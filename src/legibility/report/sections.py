@@ -1,7 +1,5 @@
 """The result of an evaluation as a few sentences and tables; `NOTES` explains the metrics."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

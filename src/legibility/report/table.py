@@ -1,7 +1,5 @@
 """One table type for the terminal, Markdown, LaTeX and CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

@@ -1,7 +1,5 @@
 """The settings of each training."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import partial
 

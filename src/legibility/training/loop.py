@@ -6,8 +6,6 @@ and several processes, each of which draws the numbers of the whole batch and us
 the steps of one.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import math

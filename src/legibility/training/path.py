@@ -7,8 +7,6 @@ dial more exact. On its own that loss would reach ℓ = ±1 by waves, so jerk be
 costs too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -298,9 +296,7 @@ def distill_path(
         drawn: called with the number of scenes for which the teacher has drawn, and that of all.
 
     Raises:
-        InvalidInputError: the data are of another observer than the teacher, or the student has
-            more sampling steps than diffusion has.
-        CheckpointError: see `train`.
+        InvalidInputError: the data are of another observer than the teacher.
     """
     if config.sampling_steps > teacher.config.diffusion_steps:
         raise InvalidInputError(

@@ -1,7 +1,5 @@
 """Training of stage 2 and of the baselines' policy, and the tuning of the baselines' guidance."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import partial
