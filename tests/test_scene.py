@@ -198,7 +198,7 @@ def test_file_that_cannot_be_written(tmp_path, scene):
     [
         (np.float32([1.1, 0.5]), GOALS, [1.1, 0.5]),
         ([0.06 - 0.04 - 0.12, 0.5], GOALS, [-0.1, 0.5]),
-        ([1.1 + 0.033, -0.1 - 0.033], GOALS, [1.1, -0.1]),
+        ([0.1 + 0.02, 0.3, 0.02 - 0.02], [[0, 0, 0.02], [0, 0.2, 0.02]], [0.1, 0.3, 0.02]),
         (START, np.float32([[0.8, 1.1], [1.1, 0.3]]), START),
     ],
 )
@@ -210,12 +210,14 @@ def test_points_a_little_beyond_a_wall_are_moved_onto_it(start, goals, kept):
 
 
 def test_only_a_robot_may_be_found_clearly_beyond_a_wall():
-    with pytest.raises(InvalidSceneError, match=r"start \[1.152, 0.5\] lies outside"):
-        Scene([1.152, 0.5], GOALS)
+    with pytest.raises(InvalidSceneError, match=r"start \[1.1001, 0.5\] lies outside"):
+        Scene([1.1001, 0.5], GOALS)
+    with pytest.raises(InvalidSceneError, match=r"start \[0.13, 0.0, 0.1\] lies outside"):
+        Scene([0.13, 0, 0.1], [[0, 0, 0.02], [0, 0.2, 0.02]])
     with pytest.raises(InvalidSceneError, match=r"goals\[1\] \[1.1001, 0.3\] lies outside"):
         Scene(START, [[0.8, 0.6], [1.1001, 0.3]])
-    with pytest.raises(InvalidSceneError, match=r"start and goals\[0\] coincide at \[1.1, 0.3\]"):
-        Scene([1.105, 0.3], [[1.1, 0.3], [0.8, 0.6]])
+    with pytest.raises(InvalidSceneError, match=r"start and goals\[0\] coincide at \[0.1, 0.3"):
+        Scene([0.105, 0.3, 0.2], [[0.1, 0.3, 0.2], [0, 0, 0.2]])
 
 
 def test_arrays_of_other_libraries_are_read():

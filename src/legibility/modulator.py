@@ -243,7 +243,7 @@ class Modulator:
 
         Args:
             env: an environment of this package, in any wrappers that leave actions alone.
-            target: index of the intended goal; the environment's own if not given.
+            target: index of the intended goal; if not given, that of `path` or of the environment.
             legibility: ℓ in [−1, 1].
             seed: of the paths and actions drawn; None draws others each time.
             path: the path to follow instead of planning one; it must start at the robot.
@@ -288,8 +288,8 @@ class Modulator:
 
         Args:
             env: a vector of environments (`gymnasium.make_vec`).
-            targets: index of the intended goal, one for all or `(B,)`; the environments' own if not
-                given.
+            targets: index of the intended goal, one for all or `(B,)`; if not given, those of
+                `paths` or of the environments.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             paths: `B` paths to follow instead of planning; they must start at the robots.
             seed, replan, tolerance, num_candidates, guidance, steps, driver: see `execute`.
@@ -309,6 +309,7 @@ class Modulator:
                 raise InvalidInputError(
                     f"paths must be a legibility.Path for each of {fleet.size} robots, got {types}"
                 )
+            targets = [path.target for path in paths] if targets is None else targets
         if targets is not None:
             fleet.set_targets(for_each("targets", targets, fleet.size))
 

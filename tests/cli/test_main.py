@@ -241,8 +241,7 @@ def test_numbers_are_written_before_pictures(here, weights, monkeypatch, capsys)
     def no_picture(*_, **__):
         raise OutputError("no picture")
 
-    for module in ("plan", "dial"):
-        monkeypatch.setattr(f"legibility.figures.{module}.figure_file", no_picture)
+    monkeypatch.setattr("legibility.figures.paper.figure_file", no_picture)
     line = ["plan", "scene.yaml", "--model", weights, "--figure", "f.png"]
     assert main([*line, "--json", "j.json", "--csv", "c.csv"]) == 2
     assert capsys.readouterr().err == "legibility: error: no picture\n"

@@ -75,7 +75,7 @@ def test_precision(dataset, cli, tiny, tmp_path, refused, capsys):
     assert record.precision == "bf16"
     message = "precision is 'bf16' in the checkpoint and 'no' now"
     assert message in refused(f"{words} no", *paths)
-    assert "precision must be one of no, bf16, got 'f8'" in refused(f"{words} f8", *paths)
+    assert "precision must be one of no, bf16, fp16, got 'f8'" in refused(f"{words} f8", *paths)
 
 
 def test_line_of_a_validation():

@@ -111,7 +111,7 @@ def headline_table(results: Results, models: dict[str, str] | None = None) -> Ta
 
     Rows that were not measured are left out.
     """
-    models = models or {"block-reach-2d": "plane", "panda-block-reach": "arm"}
+    models = models or {"block-reach-2d": "2-D", "panda-block-reach": "Panda"}
     table = Table("metric", *models.values())
 
     def add(text: str, kind: str, cell: Callable[[Any], str]) -> None:
