@@ -595,8 +595,11 @@ class TestExecute:
         with pytest.raises(InvalidInputError, match="use execute_many"):
             model.execute(self.vector())
         path = model.plan(SCENES[2], 1, 0.3)
+        with pytest.raises(InvalidInputError, match="a path must end at the intended goal"):
+            model.execute(env, 0, path=path, driver=Feedback())
         rollout = model.execute(env, path=path, driver=Feedback())
         assert rollout.path is path
+        assert env.unwrapped.batch.targets.tolist() == [1]
 
     def test_a_wrapper_that_rescales_actions_is_named(self):
         """Instead of a robot that crawls."""

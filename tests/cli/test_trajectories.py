@@ -88,6 +88,11 @@ def test_an_arm_that_overshoots_a_wall_is_read(tmp_path):
 
 BAD = {
     "empty": ("", "is empty"),
+    "fields of ROS": (
+        "%time,field.position.x,field.position.y\n1,0,0.5\n2,0.8,0.6\n",
+        "columns x, y are needed, got time, field.position.x",
+    ),
+    "z in 2-D": ("x,y,z\n0,0.5,0\n0.8,0.6,0\n", "there is a column z"),
     "blank": ("\n\n", "is empty"),
     "no points": ("x,y\n", "no points"),
     "no header": ("0,0.5\n0.8,0.6\n", "line 1: there is no header: .* must name .*, as x,y$"),

@@ -25,6 +25,7 @@ def restored(set_state, value, default):
 
 STATES = {
     "default dtype": lambda: restored(torch.set_default_dtype, torch.float64, torch.float32),
+    "half": lambda: restored(torch.set_default_dtype, torch.float16, torch.float32),
     "default device": lambda: restored(torch.set_default_device, "meta", None),
     "device context": lambda: torch.device("meta"),
     "inference mode": torch.inference_mode,

@@ -173,10 +173,13 @@ class TestStoredGraph:
             onnx.load_graph(model, tmp_path / "file")
         assert exported == [model, model]
 
-    def test_is_corrupted(self, model):
+    @pytest.mark.parametrize(
+        "graph", [b"\0" * 99, b"<weights>no.such</weights>", b"<weights>\xff</weights>"]
+    )
+    def test_is_corrupted(self, model, graph):
         runtime()
         with pytest.raises(CheckpointError, match="graph"):
-            onnx.OnnxPathDiffuser(model, b"\0" * 99)
+            onnx.OnnxPathDiffuser(model, graph)
 
     def test_without_the_exporter(self, model, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, "onnxscript", None)

@@ -100,6 +100,16 @@ def test_rows_are_paths():
         assert path.observer is paths.observer
 
 
+def test_levels_are_counted():
+    scene = SCENES[2]
+    path = through(np.stack([bent(scene, 0.02)] * 3), scene, legibility=[-1, 0, 1])
+    assert len(path) == len(list(path)) == 3
+    with pytest.raises(IndexError, match="3 levels, got index 3"):
+        path[3]
+    with pytest.raises(InvalidInputError, match="one level only"):
+        through(bent(scene, 0.02), scene)[0]
+
+
 @pytest.mark.parametrize("num_points", [0, 1, 2.5, "many"])
 def test_number_of_points(num_points):
     with pytest.raises(InvalidInputError, match="num_points"):
