@@ -38,7 +38,7 @@ class RobotStates:
 
 
 class Driver(Protocol):
-    """What moves robots.
+    """Moves robots.
 
     Attributes:
         with_path: whether it follows the path; otherwise progress is measured to the goal.

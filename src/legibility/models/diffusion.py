@@ -61,7 +61,7 @@ def ddim(
         noise: standard normal.
         signal: ᾱ at each diffusion step, `(S,)`.
         times: the diffusion steps to take, falling from the last, see `sampling_timesteps`.
-        bound: what is denoised is clipped to ±`bound` at each step, which keeps strong guidance
+        bound: the clean estimate is clipped to ±`bound` at each step, which keeps strong guidance
             from running away.
     """
     latent = clean = noise

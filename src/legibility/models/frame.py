@@ -108,7 +108,7 @@ def scene_image(
         wall, negative outside and in lengths of the straight line, as tanh(2d).
     """
     frame, grid = Frame.of(scene, target), _grid(scene.dim, resolution)
-    # What is linear in the points is exact; the rest, drawn in float32, is as exact as the image.
+    # Log odds are computed exactly; the rest is in float32, like the image.
     slopes, intercepts = _odds(scene, target, field)
     # A few distractors at a time: NumPy would share a larger product among threads, which then wait
     # for more and hold up those of PyTorch.

@@ -76,7 +76,7 @@ class GoalPolicy(ActionDenoiser):
         """A chunk of displacements `(B, chunk, D)` [m] in the world, not yet made safe.
 
         The weights sum to 1, so weighing v, ε or the denoised actions is all the same. As in the
-        reference implementations what is denoised is clipped to the range of the data.
+        reference implementations the clean estimate is clipped to the range of the data.
 
         Args:
             features: `(B, C, F)` of `B` robots under `C` conditions.

@@ -27,7 +27,7 @@ from .path_diffuser import Conditions, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
 _VERSION = 2
-"""Of what the graphs compute; a new one makes stored graphs be exported again."""
+"""Version of the graphs; raising it makes stored graphs be exported again."""
 
 _TRACED = (
     "dim", "field", "channels", "condition", "encoder_width", "resolution", "squash", "chunk",

@@ -206,7 +206,7 @@ class PathDiffuser(nn.Module):
         return reading
 
     def to_latent(self, waypoints: Tensor) -> Tensor:
-        """Waypoints `(..., K, D)` in the start–target frame to what is denoised."""
+        """Waypoints `(..., K, D)` in the start–target frame to the latent."""
         deviation = waypoints - self.straight
         return torch.asinh(deviation / self.config.squash) / self.spread
 

@@ -125,7 +125,7 @@ class ActionDenoiser(nn.Module):
         self.register_buffer("signal", torch.ones(config.diffusion_steps))
 
     def _encode(self, features: Tensor, guided: Tensor, nothing: Tensor) -> Tensor:
-        """`(B, E)` of `features (B, F)`; `nothing (E,)` stands for what is not `guided (B,)`."""
+        """`(B, E)` of `features (B, F)`; where not `guided (B,)`, `nothing (E,)` stands in."""
         return self.fuse(self.observe(features) + torch.where(guided[:, None], 0.0, nothing))
 
     def forward(self, noisy: Tensor, timestep: Tensor, context: Tensor) -> Tensor:
@@ -134,7 +134,7 @@ class ActionDenoiser(nn.Module):
         Args:
             noisy: `(B, chunk, D)`, noisy actions over `scale`.
             timestep: `(B,)` int, of the noise schedule, or `(1,)` for all.
-            context: `(B, E)` of what is observed.
+            context: `(B, E)` of the observation.
         """
         time = timestep.float() / self.steps * 2 - 1
         condition = nn.functional.silu(context + self.time(fourier(time, _TIME_FREQUENCIES)))

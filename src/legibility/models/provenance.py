@@ -8,7 +8,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Source:
-    """What a model learned from.
+    """The data that a model learned from.
 
     Attributes:
         data: settings of the dataset.

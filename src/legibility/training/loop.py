@@ -100,7 +100,7 @@ def train(
         validate: metrics of a model, logged every `validate_every` steps.
         config: how to train.
         run: where to train.
-        source: what the model learns from.
+        source: the data that the model learns from.
 
     Raises:
         CheckpointError: the folder's checkpoint is corrupted or of another run.
