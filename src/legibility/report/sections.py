@@ -17,7 +17,7 @@ NOTES = (
     "the asked ℓ, whether a motion arrived or not. Lengths are relative to the straight line; the "
     "deviation is the mean distance from the curve followed, over the length of the first curve. "
     "Robots have hidden gains and lags; PandaGymBlockReach (panda-gym) is never used in training. "
-    "Plans and control steps are timed on one core.",
+    "The bench times control steps and `plan_one_core_ms` on one core.",
     "All methods share scenes, robots and seeds. The oracle is the most legible trajectory of a "
     "scene's archive; brackets in Table I hold the ratio to it, ours to ours and the paper's to "
     "the paper's, and only ratios are comparable: the paper's L_p is of another field. Bold is "
