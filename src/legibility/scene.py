@@ -1,7 +1,9 @@
-"""A scene: start, possible goals and workspace."""
+"""A scene: start, possible goals, workspace and obstacles."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Array, count, finite_array, target_index
+from .checks import Array, bounded, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
 from .files import read_document, write_bytes, write_json
+from .obstacles import Ball, Box, Obstacle, Polygon, Solids, obstacle_from_dict, solids_of
 
 DEFAULT_WORKSPACE = {2: ((-0.1, -0.1), (1.1, 1.1)), 3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40))}
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
@@ -28,12 +31,13 @@ Panda's table, where the simulated arms overshoot by up to 22 mm."""
 
 _AT_START, _BESIDE = 1e-4, 1e-5
 _BLOCK_HEIGHT = 0.04
-_KEYS = ("start", "goals", "workspace")
+_KEYS = ("start", "goals", "workspace", "obstacles", "goal_radius", "clearance")
+_TOUCH = 1e-9  # of the diagonal: a motion may touch what it must keep from
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class Scene:
-    """Start, goals and workspace, all in metres in the environment's world frame.
+    """Start, goals, workspace and obstacles, all in metres in the environment's world frame.
 
     A start a little beyond a wall (`START_OVERSHOOT`, as robots report) and a goal beyond it by
     rounding (1e-6 of the diagonal) are moved onto the wall. Scenes are immutable and hashable.
@@ -42,6 +46,9 @@ class Scene:
         start: `(D,)` [m], D is 2 or 3.
         goals: `(G, D)` [m], G ≥ 2, no two alike and none at the start.
         workspace: `(2, D)` [m], low and high corner; the default is `DEFAULT_WORKSPACE[D]`.
+        obstacles: `Ball`, `Box` or, in 2D, `Polygon`; none over the start.
+        goal_radius: [m], distance that a motion keeps from the centres of the other goals.
+        clearance: [m], distance that a motion keeps from obstacles.
 
     Raises:
         InvalidSceneError: any other value.
@@ -50,9 +57,18 @@ class Scene:
     start: Array
     goals: Array
     workspace: Array
+    obstacles: tuple[Obstacle, ...]
+    goal_radius: float
+    clearance: float
 
     def __init__(
-        self, start: ArrayLike, goals: ArrayLike, workspace: ArrayLike | None = None
+        self,
+        start: ArrayLike,
+        goals: ArrayLike,
+        workspace: ArrayLike | None = None,
+        obstacles: Sequence[Obstacle] = (),
+        goal_radius: float = 0.0,
+        clearance: float = 0.0,
     ) -> None:
         error = InvalidSceneError
         start = finite_array("start", start, ndim=1, last=(2, 3), error=error)
@@ -82,6 +98,77 @@ class Scene:
         i, j = np.unravel_index(np.argmin(gaps), gaps.shape)
         if gaps[i, j] < _ROUNDING * self.diagonal:
             raise error(f"{names[i]} and {names[j]} coincide at {points[i].tolist()}")
+        object.__setattr__(self, "obstacles", _obstacles(obstacles, dim))
+        for name, value in (("goal_radius", goal_radius), ("clearance", clearance)):
+            try:
+                object.__setattr__(self, name, bounded(name, value, 0))
+            except InvalidInputError as cause:
+                raise error(str(cause)) from cause
+        self._check_free(names[0], self.start)
+        if (nearest := gaps[0, 1:].min()) < self.goal_radius:
+            raise error(
+                f"start lies {nearest:.3g} m from a goal, within goal_radius {self.goal_radius:g}"
+            )
+
+    def _check_free(self, name: str, point: Array) -> None:
+        """Raise if an obstacle lies over `point`, or within the clearance of it."""
+        for i, obstacle in enumerate(self.obstacles):
+            apart = float(obstacle.signed_distance(point))
+            if apart < self.clearance - _TOUCH * self.diagonal:
+                where = "over" if apart < 0 else f"{apart:.3g} m from"
+                raise InvalidSceneError(
+                    f"obstacles[{i}] lies {where} the {name} {point.tolist()}"
+                    + (f", within the clearance {self.clearance:g}" if apart >= 0 else "")
+                )
+
+    def check_target(self, target: int) -> int:
+        """The index of a goal; raises `InvalidSceneError` unless a motion can end there."""
+        target = target_index(target, self.num_goals)
+        self._check_free(f"target goals[{target}]", self.goals[target])
+        near = np.linalg.norm(self.distractors(target) - self.goals[target], axis=-1).min()
+        if near < self.goal_radius:
+            raise InvalidSceneError(
+                f"target goals[{target}] lies {near:.3g} m from another goal, within goal_radius "
+                f"{self.goal_radius:g}"
+            )
+        return target
+
+    def solids(self, target: int | None = None, *, inflated: bool = True) -> Solids:
+        """Everything that a motion to goal `target` must not touch, as arrays; cached.
+
+        The obstacles, larger by the clearance if `inflated`, and the other goals.
+        """
+        return _solids(self, target, inflated)
+
+    def clearance_at(self, points: ArrayLike, target: int | None = None) -> Array:
+        """Distance [m] of `points (..., D)` [m] from everything solid and the walls, `(...)`.
+
+        Negative in contact and beyond a wall. The other goals are solid if a target is given.
+        """
+        return self._distance(points, self.solids(target, inflated=False))
+
+    def margin_at(self, points: ArrayLike, target: int | None = None) -> Array:
+        """As `clearance_at`, less the clearance that a motion must keep: negative if infeasible."""
+        return self._distance(points, self.solids(target))
+
+    def _distance(self, points: ArrayLike, solids: Solids) -> Array:
+        points = finite_array("points", points, min_ndim=1, last=self.dim)
+        low, high = self.workspace
+        walls = np.minimum(points - low, high - points).min(-1)
+        if not self.obstacles and not self.goal_radius:
+            return walls
+        flat = points.reshape(-1, self.dim)
+        return np.minimum(walls, solids.distance(flat).reshape(walls.shape))
+
+    def feasible(self, curves: ArrayLike, target: int) -> np.ndarray:
+        """Whether each of `curves (..., T, D)` [m] keeps clear of everything, `(...)` bool."""
+        return (self.margin_at(curves, target) >= -_TOUCH * self.diagonal).all(-1)
+
+    @property
+    def size(self) -> float:
+        """The largest distance among start and goals [m], from which observers take σ and β."""
+        points = np.concatenate([self.start[None], self.goals])
+        return float(np.linalg.norm(points[:, None] - points[None], axis=-1).max())
 
     @property
     def dim(self) -> int:
@@ -125,30 +212,63 @@ class Scene:
             inward = self.workspace.mean(axis=0) - start
             inward[0] += 1e-9  # in the very middle any direction leads inward
             start = start + 2 * least * inward / np.linalg.norm(inward)
-        return Scene(start, self.goals, self.workspace)
+        return self._from(start)
+
+    def _from(self, start: Array) -> Scene:
+        """The scene from another start, which is moved off obstacles.
+
+        Where that is not possible, and near a goal, the motion must keep clear of less.
+        """
+        obstacles, margin = list(self.obstacles), self.clearance
+        solids = solids_of(obstacles, self.dim, margin)
+        for _ in range(8):
+            distance, slope = solids.nearest(start[None])
+            if distance[0] >= 0:
+                break
+            start = start + (_TOUCH * self.diagonal - distance[0]) * slope[0]
+            start = np.clip(start, *self.workspace)
+        apart = [float(obstacle.signed_distance(start)) for obstacle in obstacles]
+        nearest = float(np.linalg.norm(self.goals - start, axis=-1).min())
+        return Scene(
+            start,
+            self.goals,
+            self.workspace,
+            [o for o, gap in zip(obstacles, apart, strict=True) if gap >= 0],
+            min(self.goal_radius, nearest),
+            max(0.0, min([margin, *(gap for gap in apart if gap >= 0)])),
+        )
 
     def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
         return isinstance(other, Scene) and all(
             np.array_equal(getattr(self, name), getattr(other, name)) for name in _KEYS
         )
 
     def __hash__(self) -> int:
-        return hash((self.start.tobytes(), self.goals.tobytes(), self.workspace.tobytes()))
+        arrays = (self.start.tobytes(), self.goals.tobytes(), self.workspace.tobytes())
+        return hash((arrays, self.obstacles, self.goal_radius, self.clearance))
 
-    def __reduce__(self) -> tuple[type[Scene], tuple[Array, Array, Array]]:
-        return Scene, (self.start, self.goals, self.workspace)  # copies stay read-only
+    def __reduce__(self) -> tuple[type[Scene], tuple[Any, ...]]:
+        return Scene, tuple(getattr(self, name) for name in _KEYS)  # copies stay read-only
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as plain lists, the form of its YAML and JSON files."""
-        return {name: getattr(self, name).tolist() for name in _KEYS}
+        content: dict[str, Any] = {name: getattr(self, name).tolist() for name in _KEYS[:3]}
+        if self.obstacles:
+            content["obstacles"] = [obstacle.to_dict() for obstacle in self.obstacles]
+        for name in ("goal_radius", "clearance"):
+            if getattr(self, name):
+                content[name] = getattr(self, name)
+        return content
 
     @classmethod
     def from_dict(cls, content: Any) -> Scene:
-        """The inverse of `to_dict`; `workspace` may be left out."""
+        """The inverse of `to_dict`; all but `start` and `goals` may be left out."""
         if not isinstance(content, dict):
             raise InvalidSceneError(
-                "a scene must be a mapping with the keys start, goals and optionally workspace; "
-                f"got {'nothing' if content is None else type(content).__name__}"
+                "a scene must be a mapping with the keys start, goals and optionally others; got "
+                f" {'nothing' if content is None else type(content).__name__}"
             )
         differences = {
             "unknown": content.keys() - _KEYS,
@@ -159,7 +279,10 @@ class Scene:
                 f"{word} {sorted(map(str, keys))}" for word, keys in differences.items() if keys
             ]
             raise InvalidSceneError(f"a scene has the keys {', '.join(_KEYS)}: {', '.join(parts)}")
-        return cls(**content)
+        obstacles = content.get("obstacles", ())
+        if not isinstance(obstacles, list | tuple):
+            raise InvalidSceneError(f"obstacles must be a list, got {obstacles!r}")
+        return cls(**{**content, "obstacles": [obstacle_from_dict(o) for o in obstacles]})
 
     def save(self, path: str | Path) -> None:
         """Write the scene as YAML or JSON, by the file's suffix (.yaml, .yml, .json)."""
@@ -221,6 +344,28 @@ class Scene:
             gaps = np.linalg.norm(points[pairs[0]] - points[pairs[1]], axis=-1)
             if gaps.min() >= gap and np.linalg.norm(points[0] - points[1 + target]) >= 2 * gap:
                 return cls(points[0], points[1:])
+
+
+def _obstacles(obstacles: Any, dim: int) -> tuple[Obstacle, ...]:
+    if not isinstance(obstacles, Sequence) or isinstance(obstacles, str):
+        raise InvalidSceneError(f"obstacles must be a list, got {obstacles!r}")
+    for i, obstacle in enumerate(obstacles):
+        if not isinstance(obstacle, Obstacle):
+            raise InvalidSceneError(
+                f"obstacles[{i}] must be a Ball, a Box or a Polygon, got {obstacle!r}"
+            )
+        if obstacle.dim != dim:
+            raise InvalidSceneError(f"obstacles[{i}] is {obstacle.dim}D, the scene is {dim}D")
+    return tuple(obstacles)
+
+
+@functools.lru_cache(maxsize=128)  # each part of a plan asks for it
+def _solids(scene: Scene, target: int | None, inflated: bool) -> Solids:
+    balls = None
+    if target is not None and scene.goal_radius:
+        balls = scene.distractors(target)
+    margin = scene.clearance if inflated else 0.0
+    return solids_of(scene.obstacles, scene.dim, margin, balls, scene.goal_radius)
 
 
 def _snapped(points: Array, workspace: Array, tolerance: float = _ROUNDING) -> Array:

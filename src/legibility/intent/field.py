@@ -7,53 +7,91 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import Array, count, finite_array, goals_array, positive, prior_array, target_index
+from ..checks import (
+    Array,
+    bounded,
+    count,
+    finite_array,
+    goals_array,
+    positive,
+    prior_array,
+    target_index,
+)
 from ..errors import InvalidInputError
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class InformationPotentialField:
-    """The posterior over goals of a Gaussian likelihood around each (paper, section V.A).
+_FARTHEST = 1e100  # beyond it only the direction counts
 
-    `P(x|g) = N(x; g, σ²I)`, `P(g|x) = softmax_g(log P(g) − ‖x − g‖² / 2σ²)` (eq. 2) and
-    `φ(x|g*) = −log P(g*|x)` (eq. 3).
+
+@dataclass(frozen=True, eq=False, init=False)
+class Field:
+    """The posterior over goals of an observer who reads a position.
+
+    Each goal has an energy `E_g(x) = ½ (x − g)ᵀ P (x − g) + β ‖x − g‖`, and
+    `P(g|x) = softmax_g(log P(g) − E_g(x))`, `φ(x|g*) = −log P(g*|x)` (paper, eq. 2 and 3). With
+    β = 0 the likelihood of a position is Gaussian; with P = 0 the observer is that of Dragan et al.
+    (HRI 2013), for whom the cost of a motion is its length.
 
     Args:
         goals: `(G, D)` [m], G ≥ 2.
-        sigma: spread σ of the likelihood [m].
-        prior: `(G,)`, P(g) before any motion, normalised; uniform if not given.
+        precision: P `(D, D)` [1/m²], the inverse covariance of each goal's likelihood, positive
+            semi-definite; 0 if not given.
+        beta: rationality β [1/m], at least 0.
+        log_prior: `(G,)`, log P(g) up to a constant; uniform if not given.
 
     Raises:
-        InvalidInputError: fewer than two goals, σ ≤ 0, a prior that is not positive.
+        InvalidInputError: fewer than two goals, or an observer who cannot tell the goals apart.
     """
 
     goals: Array
-    sigma: float
-    prior: Array
+    precision: Array
+    beta: float
+    log_prior: Array
     _origin: Array
     _slope: Array
     _intercept: Array
 
-    def __init__(self, goals: ArrayLike, sigma: float, prior: ArrayLike | None = None) -> None:
-        goals, sigma = goals_array(goals).copy(), positive("sigma", sigma)
-        prior = prior_array(prior, len(goals))
-        goals.setflags(write=False)
-        prior.setflags(write=False)
-        # ‖x − g‖² without the term that all goals share, about their mean: exact far away too.
+    def __init__(
+        self,
+        goals: ArrayLike,
+        precision: ArrayLike | None = None,
+        beta: float = 0.0,
+        log_prior: ArrayLike | None = None,
+    ) -> None:
+        goals = goals_array(goals).copy()
+        num, dim = goals.shape
+        beta = bounded("beta", beta, 0)
+        precision = np.zeros((dim, dim)) if precision is None else precision
+        precision = finite_array("precision", precision, ndim=2, last=dim).copy()
+        if precision.shape != (dim, dim) or np.linalg.eigvalsh(precision)[0] < 0:
+            raise InvalidInputError(
+                f"precision must be positive semi-definite and {dim} by {dim}, "
+                f"got {precision.tolist()}"
+            )
+        log_prior = np.zeros(num) if log_prior is None else log_prior
+        log_prior = finite_array("log_prior", log_prior, ndim=1).copy()
+        if len(log_prior) != num:
+            raise InvalidInputError(f"log_prior must be {num} numbers, got {len(log_prior)}")
+        # The quadratic term without the part that all goals share, about their mean: exact far away.
         origin = goals.mean(axis=0)
         offsets = goals - origin
         with np.errstate(all="ignore"):
-            variance = np.float64(sigma) ** 2
-            slope = offsets.T / variance
-            intercept = np.log(prior) - (offsets**2).sum(-1) / (2 * variance)
+            slope = precision @ offsets.T
+            intercept = log_prior - (offsets * slope.T).sum(-1) / 2
         if not (np.isfinite(slope).all() and np.isfinite(intercept).all()):
-            raise InvalidInputError(
-                f"sigma must not vanish beside the goals' distances, got {sigma}"
-            )
-        if not slope.any():
-            raise InvalidInputError(f"sigma must tell the goals apart, got {sigma}")
-        vars(self).update(goals=goals, sigma=sigma, prior=prior)
+            raise InvalidInputError("sigma must not vanish beside the goals' distances")
+        if not slope.any() and not beta:
+            raise InvalidInputError("sigma or beta must tell the goals apart")
+        for array in (goals, precision, log_prior):
+            array.setflags(write=False)
+        vars(self).update(goals=goals, precision=precision, beta=beta, log_prior=log_prior)
         vars(self).update(_origin=origin, _slope=slope, _intercept=intercept)
+
+    @property
+    def prior(self) -> Array:
+        """P(g), `(G,)`."""
+        weights = np.exp(self.log_prior - self.log_prior.max())
+        return weights / weights.sum()
 
     @property
     def num_goals(self) -> int:
@@ -68,8 +106,7 @@ class InformationPotentialField:
     @np.errstate(under="ignore")
     def log_posterior(self, x: ArrayLike) -> Array:
         """`log P(g|x)` for every goal, `(..., G)`, of points `(..., D)` [m]."""
-        x = finite_array("x", x, min_ndim=1, last=self.dim)
-        logits = (x - self._origin) @ self._slope + self._intercept
+        logits = np.stack(self._logits(x), axis=-1)
         logits -= logits.max(axis=-1, keepdims=True)  # log 2 is lost beside a large number
         return logits - np.logaddexp.reduce(logits, axis=-1, keepdims=True)
 
@@ -84,14 +121,32 @@ class InformationPotentialField:
 
         Finite for every finite x, and exact to rounding where it is tiny.
         """
-        target = target_index(target, self.num_goals)
-        x = finite_array("x", x, min_ndim=1, last=self.dim)
-        slope = self._slope - self._slope[:, target, None]
-        intercept = self._intercept - self._intercept[target]
-        offset = x - self._origin
-        # One distractor at a time: sums over a short last axis are slow in NumPy.
-        others = (g for g in range(self.num_goals) if g != target)
-        return potential_of_odds([offset @ slope[:, g] + intercept[g] for g in others])
+        logits = self._logits(x, target_index(target, self.num_goals))
+        return potential_of_odds([o for g, o in enumerate(logits) if g != target])
+
+    def _logits(self, x: ArrayLike, target: int | None = None) -> list[Array]:
+        """`log P(g) − E_g(x)` of each goal, `(...)`, less that of `target` or a common term."""
+        offset = finite_array("x", x, min_ndim=1, last=self.dim) - self._origin
+        slope, intercept, zero = self._slope, self._intercept, np.zeros(self.dim)
+        if target is not None:
+            slope = slope - slope[:, target, None]
+            intercept = intercept - intercept[target]
+            zero = self.goals[target] - self._origin
+        # One goal at a time: sums over a short last axis are slow in NumPy.
+        logits = [offset @ slope[:, g] + intercept[g] for g in range(self.num_goals)]
+        if self.beta:
+            most = np.abs(offset).max(-1, keepdims=True, initial=0)
+            if most.max(initial=0) > _FARTHEST:
+                offset = offset * np.minimum(1, _FARTHEST / np.maximum(most, 1))
+            from_zero = _length(offset - zero)
+            for g, goal in enumerate(self.goals - self._origin):
+                # ‖x − g‖ − ‖x − zero‖ without a difference of large numbers.
+                between, apart = goal - zero, _length(offset - goal) + from_zero
+                closer = (2 * offset - goal - zero) @ between
+                logits[g] += self.beta * np.divide(
+                    closer, apart, out=np.zeros(np.shape(apart)), where=apart > 0
+                )
+        return logits
 
     def grid(self, workspace: ArrayLike, resolution: int, target: int) -> Array:
         """φ at the centres of a uniform grid over `workspace (2, D)` [m].
@@ -105,6 +160,36 @@ class InformationPotentialField:
         axes = [low + centres * (high - low) for low, high in workspace.T]
         points = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1)
         return self.potential(points, target)
+
+
+class InformationPotentialField(Field):
+    """The paper's field (section V.A): the likelihood `P(x|g) = N(x; g, σ²I)` around each goal.
+
+    Args:
+        goals: `(G, D)` [m], G ≥ 2.
+        sigma: spread σ of the likelihood [m].
+        prior: `(G,)`, P(g) before any motion, normalised; uniform if not given.
+
+    Raises:
+        InvalidInputError: fewer than two goals, σ ≤ 0, a prior that is not positive.
+    """
+
+    sigma: float
+
+    def __init__(self, goals: ArrayLike, sigma: float, prior: ArrayLike | None = None) -> None:
+        goals, sigma = goals_array(goals), positive("sigma", sigma)
+        with np.errstate(all="ignore"):
+            precision = np.eye(goals.shape[-1]) / np.float64(sigma) ** 2
+        if not np.isfinite(precision).all():
+            raise InvalidInputError(
+                f"sigma must not vanish beside the goals' distances, got {sigma}"
+            )
+        super().__init__(goals, precision, log_prior=np.log(prior_array(prior, len(goals))))
+        vars(self).update(sigma=sigma)
+
+
+def _length(points: Array) -> Array:
+    return np.sqrt(np.einsum("...d,...d->...", points, points))
 
 
 def potential_of_odds(odds: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:

@@ -1,80 +1,209 @@
-"""The observer of a motion: the likelihood of a position, the score's weights, the label's rule."""
+"""The observer of a motion: who watches, how they read a position, and what ℓ means to them."""
 
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
-from ..checks import Array, bounded, positive
+import numpy as np
+
+from ..checks import Array, bounded, finite_array, positive, prior_array
 from ..errors import InvalidInputError
+from ..files import read_document, write_bytes
 from ..scene import Scene
-from .field import InformationPotentialField
+from .field import Field, InformationPotentialField
 from .labels import LABELS, anchored_label, rank_label
 from .metrics import DEFAULT_ALPHA, legibility_score
 
+KINDS = ("boltzmann", "gaussian")
+"""The likelihoods of a position given the goal."""
+
+PRIORS = ("neutral", "uniform")
+"""The named priors."""
+
 _PAPER_SIGMA = {2: 0.15, 3: 0.08}
+_SIGMA_SHARE, _BETA_SHARE = 0.15, 20.0
 
 
 @dataclass(frozen=True)
 class Observer:
     """All parameters of ℓ except the scene.
 
+    The default is the observer of Dragan et al. (HRI 2013) who takes a motion's length for its
+    cost: the cost so far is the same for every goal and cancels, so their posterior is a field.
+
     Attributes:
-        sigma: spread σ of each goal's likelihood [m]; if not given, the paper's: 0.15 m in 2-D,
-            0.08 m at the Panda's table.
+        kind: `boltzmann`, energy `E_g(x) = β ‖x − g‖`, or `gaussian`,
+            `E_g(x) = ½ (x − g)ᵀ Σ⁻¹ (x − g)` (paper, section V.A).
+        prior: `neutral`, such that the posterior at the start is uniform, so that nobody has
+            decided before anything moves; `uniform` (the paper's); or a weight above 0 for each
+            goal.
+        sigma: spread σ of a gaussian [m]; if not given, 0.15 times the scene's size.
+        beta: rationality β of a boltzmann [1/m]; if not given, 20 over the scene's size.
+        viewpoint: position of a gaussian's eyes, `(D,)` [m]. Along the line of sight to the mean of
+            the goals positions are read less well: `Σ = σ² (I + (depth² − 1) d dᵀ)`.
+        depth: spread along the line of sight over that across it, at least 1.
         alpha: decay α of the score's weight over progress (paper, eq. 4).
+        detour: largest length of a motion on the dial over the shortest feasible one.
         label: how scores become labels, `anchored` or `rank`.
 
+    The scene's size is the largest distance among start and goals.
+
     Raises:
-        InvalidInputError: σ ≤ 0, α < 0 or an unknown label.
+        InvalidInputError: a value out of its range, or one that the kind does not have.
     """
 
+    kind: str = "boltzmann"
+    prior: str | tuple[float, ...] = "neutral"
     sigma: float | None = None
+    beta: float | None = None
+    viewpoint: tuple[float, ...] | None = None
+    depth: float = 3.0
     alpha: float = DEFAULT_ALPHA
+    detour: float = 2.5
     label: str = "anchored"
 
     def __post_init__(self) -> None:
-        if self.sigma is not None:
-            object.__setattr__(self, "sigma", positive("sigma", self.sigma))
-        object.__setattr__(self, "alpha", bounded("alpha", self.alpha, 0))
-        if self.label not in LABELS:
-            raise InvalidInputError(f"label must be one of {', '.join(LABELS)}, got {self.label!r}")
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        for name, allowed in (("kind", KINDS), ("label", LABELS)):
+            value = getattr(self, name)
+            if not isinstance(value, str) or value not in allowed:
+                raise InvalidInputError(f"{name} must be one of {', '.join(allowed)}, got {value!r}")
+        if not isinstance(self.prior, str):
+            weights = finite_array("prior", self.prior, ndim=1)
+            prior_array(weights, len(weights))
+            put("prior", tuple(weights.tolist()))
+        elif self.prior not in PRIORS:
+            raise InvalidInputError(
+                f"prior must be one of {', '.join(PRIORS)}, or a weight for each goal, "
+                f"got {self.prior!r}"
+            )
+        foreign = ("sigma", "viewpoint") if self.kind == "boltzmann" else ("beta",)
+        for name in foreign:
+            if getattr(self, name) is not None:
+                raise InvalidInputError(f"a {self.kind} observer has no {name}")
+        for name in ("sigma", "beta"):
+            if getattr(self, name) is not None:
+                put(name, positive(name, getattr(self, name)))
+        if self.viewpoint is not None:
+            eyes = finite_array("viewpoint", self.viewpoint, ndim=1, last=(2, 3))
+            put("viewpoint", tuple(eyes.tolist()))
+        put("depth", bounded("depth", self.depth, 1))
+        put("alpha", bounded("alpha", self.alpha, 0))
+        put("detour", bounded("detour", self.detour, 1))
 
     @classmethod
     def paper(cls, dim: int) -> Observer:
-        """The paper's observer, with its σ for the dimension."""
-        return cls().resolved(dim)
-
-    def resolved(self, dim: int) -> Observer:
-        """The same observer with σ given, by default the paper's for the dimension."""
+        """The paper's observer in D dimensions: gaussian, uniform, σ = 0.15 m, or 0.08 m in 3D."""
         if dim not in _PAPER_SIGMA:
             raise InvalidInputError(f"dim must be 2 or 3, got {dim!r}")
-        return self if self.sigma is not None else replace(self, sigma=_PAPER_SIGMA[dim])
+        return cls(kind="gaussian", prior="uniform", sigma=_PAPER_SIGMA[dim])
 
-    def field(self, scene: Scene) -> InformationPotentialField:
-        """The information potential field of a scene under a uniform prior; cached."""
-        return _field(scene, self.resolved(scene.dim).sigma)
+    def field(self, scene: Scene) -> Field:
+        """The field of a scene; cached."""
+        return _field(scene, self)
 
     def score(self, trajectory: Array, scene: Scene, target: int) -> Array:
         """`legibility_score` of `trajectory (..., T, D)` [m], `(...)`; higher = more legible."""
         return legibility_score(trajectory, self.field(scene), target, self.alpha)
 
-    def labels(self, scores: Array, straight_score: float) -> Array:
-        """ℓ `(N,)` of the scores `(N,)` of one scene, given that of the straight line."""
+    def labels(self, scores: Array, anchor_score: float) -> Array:
+        """ℓ `(N,)` of the scores `(N,)` of one scene, given that of the motion at ℓ = 0."""
         if self.label == "rank":
             return rank_label(scores)
-        return anchored_label(scores, straight_score)
+        return anchored_label(scores, anchor_score)
+
+    @property
+    def scale(self) -> tuple[float, float, str]:
+        """What ℓ means whoever watches, `(alpha, detour, label)`; models keep to theirs."""
+        return self.alpha, self.detour, self.label
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a file."""
-        return asdict(self)
+        content = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in content.items()}
+
+    @classmethod
+    def from_dict(cls, content: Any) -> Observer:
+        """The inverse of `to_dict`; any key may be left out."""
+        names = [f.name for f in fields(cls)]
+        if not isinstance(content, dict):
+            raise InvalidInputError(
+                f"an observer must be a mapping with keys among {', '.join(names)}, got {content!r}"
+            )
+        if unknown := sorted(map(str, content.keys() - set(names))):
+            raise InvalidInputError(
+                f"an observer has the keys {', '.join(names)}; unknown: {', '.join(unknown)}"
+            )
+        if not isinstance(content.get("prior", ""), str | Sequence):
+            raise InvalidInputError(f"prior must be a name or a list, got {content['prior']!r}")
+        return cls(**content)
+
+    def save(self, path: str | Path) -> None:
+        """Write the observer as YAML, without what is not given."""
+        import yaml
+
+        content = {name: value for name, value in self.to_dict().items() if value is not None}
+        text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+        write_bytes(path, text.encode())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Observer:
+        """Read an observer from YAML or JSON."""
+        content = read_document(path, "observer file", InvalidInputError)
+        try:
+            return cls.from_dict(content)
+        except InvalidInputError as cause:
+            raise InvalidInputError(f"{path}: {cause}") from cause
 
 
 DEFAULT_OBSERVER = Observer()
 
 
 @functools.lru_cache(maxsize=64)  # each part of a plan asks for it
-def _field(scene: Scene, sigma: float | None) -> InformationPotentialField:
-    assert sigma is not None
-    return InformationPotentialField(scene.goals, sigma)
+def _field(scene: Scene, observer: Observer) -> Field:
+    goals, size = scene.goals, scene.size
+    precision, beta = np.zeros((scene.dim, scene.dim)), 0.0
+    if observer.kind == "boltzmann":
+        beta = _BETA_SHARE / size if observer.beta is None else observer.beta
+    else:
+        sigma = _SIGMA_SHARE * size if observer.sigma is None else observer.sigma
+        if observer.viewpoint is None and observer.prior == "uniform":
+            return InformationPotentialField(goals, sigma)
+        precision = np.eye(scene.dim) - _along_sight(scene, observer)
+        with np.errstate(all="ignore"):
+            precision = precision / np.float64(sigma) ** 2
+        if not np.isfinite(precision).all():
+            raise InvalidInputError(f"sigma must not vanish beside the scene's size, got {sigma}")
+    if observer.prior == "neutral":
+        offsets = scene.start - goals
+        log_prior = np.einsum("gi,ij,gj->g", offsets, precision, offsets) / 2
+        log_prior = log_prior + beta * np.linalg.norm(offsets, axis=-1)
+        log_prior -= log_prior.mean()
+    elif observer.prior == "uniform":
+        log_prior = np.zeros(len(goals))
+    else:
+        log_prior = np.log(prior_array(observer.prior, len(goals)))
+    return Field(goals, precision, beta, log_prior)
+
+
+def _along_sight(scene: Scene, observer: Observer) -> Array:
+    """`(1 − 1/depth²) d dᵀ`, by which the line of sight d lowers the precision, `(D, D)`."""
+    if observer.viewpoint is None:
+        return np.zeros((scene.dim, scene.dim))
+    if len(observer.viewpoint) != scene.dim:
+        raise InvalidInputError(
+            f"viewpoint must be {scene.dim} numbers in this scene, got {list(observer.viewpoint)}"
+        )
+    sight = scene.goals.mean(axis=0) - np.array(observer.viewpoint)
+    distance = np.linalg.norm(sight)
+    if distance < 1e-6 * scene.size:
+        raise InvalidInputError(
+            f"viewpoint must not lie in the middle of the goals, got {list(observer.viewpoint)}"
+        )
+    return (1 - observer.depth**-2) * np.outer(sight, sight) / distance**2
