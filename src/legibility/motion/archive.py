@@ -1,32 +1,45 @@
 """The quality-diversity archive: all ways to reach a goal, scored and labelled (paper, V.B).
 
 MAP-Elites (Mouret & Clune 2015) over cubic Béziers: random curves first, then variations of the
-elites until hardly any new cell fills. A curve belongs to the cell of the workspace that its most
-deviating point lies in, and a cell keeps its smoothest curve.
+elites until hardly any new cell fills. A curve belongs to the cell that its most deviating point
+lies in, and a cell keeps its smoothest curve. Curves that touch an obstacle or a wall, that are
+longer than the detour allows, or that cross themselves are dropped. The cells lie in the
+start–target frame and cover the ellipse of all points that a motion within the detour can reach, so
+that a workspace changes a label only where it cuts this region.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, count, finite_array, positive, seed_or_entropy, target_index
-from ..curves import farthest_from_segment
+from ..checks import Array, count, finite_array, positive, seed_or_entropy
+from ..curves import arc_length, farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
-from ..intent.field import InformationPotentialField
+from ..frame import Frame
+from ..intent.field import Field
 from ..intent.labels import label_knots
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import DEFAULT_OBSERVER, Observer
 from ..scene import Scene
-from .bezier import bending_energy, bezier_trajectories, straight_controls
+from .bezier import bending_energy, bezier_trajectories, crosses_itself, straight_controls
 
 _BATCH = 1024
 _REACH = 1 / 3
-"""Margin around the workspace in which control points are drawn, as a share of its side: a cubic
-Bézier gets three quarters of the way to its control points, so it can touch the walls."""
+"""Margin in which control points are drawn around the region that curves may reach, as a share of
+its side: a cubic Bézier gets three quarters of the way to its control points."""
 
-DEFAULT_CELLS = {2: 48, 3: 16}
-"""Cells along each axis of the workspace, by dimension."""
+_FINE = 4 * SCORE_POINTS  # points at which a curve near an obstacle is checked
+_WIDEST = 64.0  # lengths of the straight line within which a way around is looked for
+
+DEFAULT_CELLS = {2: 28, 3: 11}
+"""Cells along the straight line, by dimension."""
+
+SMALLEST_RANGE = 0.05
+"""Nats between the two ends of a side of the dial below which its labels rank little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +56,10 @@ class Archive:
         energies: `(N,)` [m²], bending energy, which a cell minimises.
         scores: `(N,)`, `legibility_score`, higher = more legible.
         labels: `(N,)` in [−1, 1].
-        straight_score: the straight line's score, where the anchored label is 0.
-        num_candidates: curves tried, including those that left the workspace.
+        anchor: `(4, D)` [m], control points of the motion at ℓ = 0: the straight line, or the
+            shortest feasible curve where that is blocked.
+        anchor_score: its score, where the anchored label is 0.
+        num_candidates: curves tried, including those that were dropped.
         cells_reached: cells that any candidate fell into.
     """
 
@@ -57,7 +72,8 @@ class Archive:
     energies: Array
     scores: Array
     labels: Array
-    straight_score: float
+    anchor: Array
+    anchor_score: float
     num_candidates: int
     cells_reached: int
 
@@ -65,9 +81,46 @@ class Archive:
         return len(self.scores)
 
     @property
-    def field(self) -> InformationPotentialField:
+    def field(self) -> Field:
         """The observer's field of the scene."""
         return self.observer.field(self.scene)
+
+    @property
+    def blocked(self) -> bool:
+        """Whether something is in the way of the straight line."""
+        straight = straight_controls(self.scene.start, self.scene.goals[self.target])
+        return not np.array_equal(straight, self.anchor)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """How far the scores reach below and above that of ℓ = 0 [nat]."""
+        low, high = float(self.scores.min()), float(self.scores.max())
+        return max(0.0, self.anchor_score - low), max(0.0, high - self.anchor_score)
+
+    @property
+    def degenerate(self) -> bool:
+        """Whether a side of the dial spans so little (`SMALLEST_RANGE`) that labels say little."""
+        return min(self.range) < SMALLEST_RANGE
+
+    @property
+    def shortest_length(self) -> float:
+        """Length [m] of the motion at ℓ = 0."""
+        return float(arc_length(bezier_trajectories(self.anchor[None], _FINE))[0])
+
+    def seen_by(self, observer: Observer) -> Archive:
+        """The same curves, scored and labelled by another observer of the same detour."""
+        if observer.detour != self.observer.detour:
+            raise InvalidInputError(
+                f"the archive holds curves of detour {self.observer.detour:g}, the observer's is "
+                f"{observer.detour:g}"
+            )
+        scores, anchor_score = _scored(
+            observer, self.scene, self.target, self.trajectories, self.anchor
+        )
+        labels = observer.labels(scores, anchor_score)
+        return replace(
+            self, observer=observer, scores=scores, labels=labels, anchor_score=anchor_score
+        )
 
     @property
     def coverage(self) -> float:
@@ -78,7 +131,7 @@ class Archive:
     def label_of(self, scores: ArrayLike) -> Array:
         """The achieved label of any scores `(...)`: monotone in the score, clipped to [−1, 1].
 
-        Linear between the archive's scores, through the straight line's at ℓ = 0 if anchored.
+        Linear between the archive's scores, through that of ℓ = 0 if anchored.
         """
         return np.interp(finite_array("scores", scores), *self._knots)
 
@@ -92,7 +145,7 @@ class Archive:
     def _knots(self) -> tuple[Array, Array]:
         if self.observer.label == "rank":
             return label_knots(self.scores, self.labels)
-        return label_knots(np.append(self.scores, self.straight_score), np.append(self.labels, 0.0))
+        return label_knots(np.append(self.scores, self.anchor_score), np.append(self.labels, 0.0))
 
     def nearest(self, legibility: float) -> int:
         """Index of the trajectory whose label is nearest; of equals, the smoothest."""
@@ -103,13 +156,21 @@ class Archive:
 
 
 class CurveGrid:
-    """MAP-Elites' container: `cells` along each axis of the workspace, each with its elite."""
+    """MAP-Elites' container over the region that motions of a length can reach.
 
-    def __init__(self, scene: Scene, target: int, cells: int) -> None:
-        self.scene, self.goal = scene, scene.target(target)
-        self.low, self.high = scene.workspace
-        self.cells = cells
-        size = cells**scene.dim
+    Args:
+        scene: the scene.
+        target: index of the intended goal.
+        longest: length of a curve [m].
+        cells: along the straight line.
+    """
+
+    def __init__(self, scene: Scene, target: int, longest: float, cells: int) -> None:
+        self.scene, self.target, self.goal = scene, target, scene.target(target)
+        self.longest, self.frame = longest, Frame.of(scene, target)
+        self.low, self.high = _region(self.frame, longest)
+        self.cells = np.ceil((self.high - self.low) * cells - 1e-9).astype(np.intp)
+        size = int(np.prod(self.cells))
         self.energies = np.full(size, np.inf)
         self.controls = np.zeros((size, 4, scene.dim))
         self.descriptors = np.zeros((size, scene.dim))
@@ -121,32 +182,55 @@ class CurveGrid:
         return np.flatnonzero(np.isfinite(self.energies))
 
     def cell_of(self, descriptors: Array) -> NDArray[np.intp]:
-        """Flat index `(...)` of the cell of each point `(..., D)`; points outside go to the rim."""
-        index = ((descriptors - self.low) / (self.high - self.low) * self.cells).astype(np.intp)
-        index = np.clip(index, 0, self.cells - 1)
-        return index @ self.cells ** np.arange(len(self.low))[::-1]
+        """Flat index `(...)` of the cell of each point `(..., D)` [m]; others go to the rim."""
+        share = (self.frame.world_to_frame(descriptors) - self.low) / (self.high - self.low)
+        index = np.clip((share * self.cells).astype(np.intp), 0, self.cells - 1)
+        return index @ np.append(np.cumprod(self.cells[:0:-1])[::-1], 1)
 
     def add(self, controls: Array) -> int:
         """Place `controls (N, 4, D)`; returns how many cells were filled for the first time."""
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
+        keep = arc_length(trajectories) <= self.longest * (1 + 1e-9)
+        controls, trajectories = controls[keep], trajectories[keep]
         descriptors = farthest_from_segment(trajectories, self.scene.start, self.goal)
-        in_bounds = ((descriptors >= self.low) & (descriptors <= self.high)).all(-1)
         cells = self.cell_of(descriptors)
-        self.reached[cells[in_bounds]] = True
-        least, most = trajectories.min(axis=1), trajectories.max(axis=1)
-        inside = ((least >= self.low) & (most <= self.high)).all(-1)
-        controls, descriptors, cells = controls[inside], descriptors[inside], cells[inside]
+        self.reached[cells[self.scene.contains(descriptors)]] = True
+        # Only a curve that is smoother than its cell's elite is worth the other checks.
         energies = bending_energy(controls)
-        # The smoothest of each cell in this batch competes with the cell's elite.
+        keep = np.flatnonzero(energies < self.energies[cells])
+        keep = keep[~crosses_itself(controls[keep])]
+        keep = keep[free(self.scene, self.target, controls[keep], trajectories[keep])]
+        controls, descriptors = controls[keep], descriptors[keep]
+        cells, energies = cells[keep], energies[keep]
+        # The smoothest of each cell in this batch takes the cell.
         order = np.lexsort((energies, cells))
         cells, first = np.unique(cells[order], return_index=True)
         best = order[first]
-        better = energies[best] < self.energies[cells]
-        cells, best = cells[better], best[better]
         new = int(np.isinf(self.energies[cells]).sum())
         self.energies[cells], self.controls[cells] = energies[best], controls[best]
         self.descriptors[cells] = descriptors[best]
         return new
+
+
+def free(scene: Scene, target: int, controls: Array, trajectories: Array) -> np.ndarray:
+    """Whether each curve `controls (N, 4, D)` keeps clear of walls and obstacles, `(N,)` bool.
+
+    `trajectories (N, T, D)` [m] are their points at equal arc length. A curve that comes so near
+    that it could touch something between two of them is checked at more points.
+    """
+    inside = scene.contains(trajectories).all(-1)
+    if not scene.obstacles and not scene.goal_radius:
+        return inside
+    rows = np.flatnonzero(inside)
+    margin = scene.margin_at(trajectories[rows], target)
+    solid = scene.solids(target).distance(trajectories[rows].reshape(-1, scene.dim))
+    solid = solid.reshape(margin.shape).min(-1)
+    gap = np.linalg.norm(trajectories[rows, 1] - trajectories[rows, 0], axis=-1)
+    inside[rows[solid < -1e-9 * scene.diagonal]] = False
+    near = rows[(solid >= -1e-9 * scene.diagonal) & (solid < gap / 2)]
+    if len(near):
+        inside[near] = scene.feasible(bezier_trajectories(controls[near], _FINE), target)
+    return inside
 
 
 @np.errstate(under="ignore")
@@ -166,9 +250,9 @@ def build_archive(
     Args:
         scene: the scene.
         target: index of the intended goal.
-        observer: scores and labels the curves.
+        observer: scores and labels the curves, and bounds their detour.
         seed: of the random curves; None draws from the system's entropy.
-        cells: cells along each axis; `DEFAULT_CELLS` of the dimension if not given.
+        cells: cells along the straight line; `DEFAULT_CELLS` of the dimension if not given.
         random_candidates: curves with random control points, drawn first.
         max_candidates: most curves in all.
         patience: variation ends after four batches in a row whose new cells are fewer than this
@@ -176,10 +260,11 @@ def build_archive(
 
     Raises:
         InvalidInputError: an argument is out of its range.
+        InvalidSceneError: a motion cannot end at the target, or no curve leads there.
     """
     if not isinstance(scene, Scene):
         raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
-    target = target_index(target, scene.num_goals)
+    target = scene.check_target(target)
     if not isinstance(observer, Observer):
         raise InvalidInputError(f"observer must be a legibility.Observer, got {observer!r}")
     cells = count("cells", DEFAULT_CELLS[scene.dim] if cells is None else cells, low=2)
@@ -190,25 +275,22 @@ def build_archive(
         seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
-    grid = CurveGrid(scene, target, cells)
-    straight = straight_controls(scene.start, grid.goal)
-    grid.add(straight[None])
+    anchor, shortest = _shortest(rng, scene, target)
+    grid = CurveGrid(scene, target, observer.detour * shortest, cells)
+    grid.add(anchor[None])
     tried, idle = 1, 0
     while tried < max_candidates and idle < 4:
         size = min(_BATCH, max_candidates - tried)
         exploring = tried < random_candidates
-        draw = random_controls(rng, scene, size) if exploring else _varied_controls(rng, grid, size)
-        controls = np.tile(straight, (size, 1, 1))
-        controls[:, 1:3] = draw
-        new = grid.add(controls)
+        draw = random_controls(rng, grid, size) if exploring else _varied_controls(rng, grid, size)
+        new = grid.add(_with_ends(draw, anchor))
         tried += size
         idle = 0 if exploring or new >= patience * len(grid.filled) else idle + 1
 
     filled = grid.filled
     controls = grid.controls[filled]
     trajectories = bezier_trajectories(controls, SCORE_POINTS)
-    scores = observer.score(trajectories, scene, target)
-    straight_score = float(scores[np.argmin(grid.energies[filled])])  # its energy is 0
+    scores, anchor_score = _scored(observer, scene, target, trajectories, anchor)
     return Archive(
         scene=scene,
         target=target,
@@ -218,17 +300,51 @@ def build_archive(
         descriptors=grid.descriptors[filled],
         energies=grid.energies[filled],
         scores=scores,
-        labels=observer.labels(scores, straight_score),
-        straight_score=straight_score,
+        labels=observer.labels(scores, anchor_score),
+        anchor=anchor,
+        anchor_score=anchor_score,
         num_candidates=tried,
         cells_reached=int(grid.reached.sum()),
     )
 
 
-def random_controls(rng: np.random.Generator, scene: Scene, size: int) -> Array:
-    """Inner control points `(size, 2, D)` drawn uniformly in bounds."""
-    low, high = _bounds(scene)
-    return rng.uniform(low, high, (size, 2, scene.dim))
+def _scored(
+    observer: Observer, scene: Scene, target: int, trajectories: Array, anchor: Array
+) -> tuple[Array, float]:
+    """The scores of `trajectories (N, T, D)`, and that of the curve `anchor (4, D)`."""
+    curve = bezier_trajectories(anchor[None], SCORE_POINTS)
+    scores = observer.score(np.concatenate([trajectories, curve]), scene, target)
+    return scores[:-1], float(scores[-1])
+
+
+def _region(frame: Frame, longest: float) -> tuple[Array, Array]:
+    """Low and high corner in the frame of all points on motions of at most that length [m].
+
+    They lie in an ellipse whose foci are start and target.
+    """
+    ratio = longest / frame.scale
+    half = np.full(len(frame.origin), np.sqrt(max(ratio**2 - 1, 0)) / 2)
+    half[0] = ratio / 2
+    half = np.maximum(half, 1e-3)  # at a detour of 1 there is the straight line only
+    centre = np.zeros(len(half))
+    centre[0] = 0.5
+    return centre - half, centre + half
+
+
+def _bounds(grid: CurveGrid) -> tuple[Array, Array]:
+    """Low and high corner [m] of the box from which control points are drawn."""
+    centre, half = (grid.low + grid.high) / 2, (grid.high - grid.low) / 2
+    middle = grid.frame.frame_to_world(centre)
+    reach = np.sqrt((grid.frame.rotation.T**2) @ half**2) * grid.frame.scale
+    low = np.maximum(middle - reach, grid.scene.workspace[0])
+    high = np.minimum(middle + reach, grid.scene.workspace[1])
+    return low - _REACH * (high - low), high + _REACH * (high - low)
+
+
+def random_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Array:
+    """Inner control points `(size, 2, D)` [m] drawn uniformly around the region of a grid."""
+    low, high = _bounds(grid)
+    return rng.uniform(low, high, (size, 2, grid.scene.dim))
 
 
 def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Array:
@@ -236,7 +352,7 @@ def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Ar
 
     An elite is moved along its difference from another and by a little isotropic noise.
     """
-    low, high = _bounds(grid.scene)
+    low, high = _bounds(grid)
     filled = grid.filled
     parents = grid.controls[rng.choice(filled, size)][:, 1:3]
     others = grid.controls[rng.choice(filled, size)][:, 1:3]
@@ -245,7 +361,59 @@ def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Ar
     return np.clip(parents + along * (others - parents) + noise, low, high)
 
 
-def _bounds(scene: Scene) -> tuple[Array, Array]:
-    low, high = scene.workspace
-    margin = _REACH * (high - low)
-    return low - margin, high + margin
+def _with_ends(inner: Array, anchor: Array) -> Array:
+    """Controls `(N, 4, D)` of inner control points `(N, 2, D)` between the ends of `anchor`."""
+    controls = np.tile(anchor, (len(inner), 1, 1))
+    controls[:, 1:3] = inner
+    return controls
+
+
+def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Array, float]:
+    """The straight line `(4, D)`, or the shortest feasible curve where it is blocked; its length.
+
+    Random curves in a region that grows until some are feasible, then variations of the shortest.
+    """
+    straight = straight_controls(scene.start, scene.target(target))
+    scale = Frame.of(scene, target).scale
+    if free(scene, target, straight[None], bezier_trajectories(straight[None], SCORE_POINTS))[0]:
+        return straight, scale
+    best, lengths = np.empty((0, 4, scene.dim)), np.empty(0)
+
+    def keep_shortest(controls: Array) -> None:
+        nonlocal best, lengths
+        trajectories = bezier_trajectories(controls, SCORE_POINTS)
+        rows = np.flatnonzero(free(scene, target, controls, trajectories))
+        rows = rows[~crosses_itself(controls[rows])]
+        best = np.concatenate([best, controls[rows]])
+        lengths = np.concatenate([lengths, arc_length(trajectories[rows])])
+        order = np.argsort(lengths, kind="stable")[:32]
+        best, lengths = best[order], lengths[order]
+
+    longest = 2.5 * scale
+    while len(best) < 8 and longest <= _WIDEST * scale:
+        grid = CurveGrid(scene, target, longest, 2)
+        for _ in range(4):
+            keep_shortest(_with_ends(random_controls(rng, grid, _BATCH), straight))
+        longest *= 2
+    if not len(best):
+        raise InvalidSceneError(
+            f"no curve leads from the start {scene.start.tolist()} to the target "
+            f"goals[{target}] {scene.goals[target].tolist()} past the obstacles and within the "
+            "workspace"
+        )
+    for generation in range(12):
+        parents = best[rng.integers(0, len(best), _BATCH // 2)][:, 1:3]
+        noise = rng.normal(0, 0.2 * scale * 0.75**generation, parents.shape)
+        keep_shortest(_with_ends(parents + noise, straight))
+    return best[0], float(lengths[0])
+
+
+@functools.lru_cache(maxsize=32)
+def _geometry(scene: Scene, target: int, detour: float) -> Archive:
+    return build_archive(scene, target, observer=replace(DEFAULT_OBSERVER, detour=detour))
+
+
+@functools.lru_cache(maxsize=64)
+def scene_archive(scene: Scene, target: int, observer: Observer) -> Archive:
+    """The archive of a scene, cached; observers of one detour share its curves."""
+    return _geometry(scene, target, observer.detour).seen_by(observer)

@@ -59,6 +59,31 @@ def bending_energy(controls: Array) -> Array:
     return 12 * ((a * a).sum(-1) + (a * c).sum(-1) + (c * c).sum(-1))
 
 
+@np.errstate(all="ignore")
+def crosses_itself(controls: Array) -> np.ndarray:
+    """Whether each of the curves `controls (N, 4, D)` crosses itself, `(N,)` bool.
+
+    In closed form: with `B(u) = a u³ + b u² + c u + d`, B(u) = B(v) for u ≠ v means
+    `a (p² − q) + b p + c = 0`, where p = u + v and q = u v. A curve in 3D is judged as seen from
+    where it is flattest.
+    """
+    p0, p1, p2, p3 = np.moveaxis(controls, -2, 0)
+    parts = np.stack([p3 - p0 + 3 * (p1 - p2), 3 * (p0 - 2 * p1 + p2), 3 * (p1 - p0)], axis=-2)
+    if controls.shape[-1] == 3:
+        _, plane = np.linalg.eigh(parts.swapaxes(-1, -2) @ parts)
+        parts = parts @ plane[..., 1:]
+    a, b, c = np.moveaxis(parts, -2, 0)
+
+    def cross(x: Array, y: Array) -> Array:
+        return x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]
+
+    turn = cross(a, b)
+    total = -cross(a, c) / turn
+    product = total**2 - cross(b, c) / turn
+    root = np.sqrt(total**2 - 4 * product)  # not a number where u and v are complex
+    return (total - root >= 0) & (total + root <= 2) & (root > 0)
+
+
 def straight_controls(start: Array, goal: Array) -> Array:
     """`(4, D)`: the straight line from `start` to `goal` at constant speed."""
     controls = start + np.linspace(0, 1, 4)[:, None] * (goal - start)

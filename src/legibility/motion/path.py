@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
 from ..checks import Array, count
 from ..curves import NUM_WAYPOINTS, arc_length, path_curve
 from ..errors import InvalidInputError
-from ..intent.field import InformationPotentialField
+from ..intent.field import Field
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
 from ..scene import Scene
-from .archive import Archive, build_archive
+from .archive import Archive, scene_archive
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Path:
         return cls(scene, target, legibility, waypoints, ~inside, observer)
 
     @property
-    def field(self) -> InformationPotentialField:
+    def field(self) -> Field:
         """The observer's field of the scene."""
         return self.observer.field(self.scene)
 
@@ -98,9 +98,3 @@ class Path:
 def straight_waypoints(start: Array, goal: Array) -> Array:
     """`(K + 2, D)` [m], the straight line from `start` to `goal (D,)` [m] as a path."""
     return np.linspace(start, goal, NUM_WAYPOINTS + 2)
-
-
-@lru_cache(maxsize=32)
-def scene_archive(scene: Scene, target: int, observer: Observer) -> Archive:
-    """The archive of a scene, cached."""
-    return build_archive(scene, target, observer=observer)
