@@ -29,13 +29,15 @@ START_OVERSHOOT = {2: _ROUNDING, 3: 0.03}
 """Largest excess of a start beyond a wall, as a share of the workspace's diagonal: 24 mm at the
 Panda's table, where the simulated arms overshoot by up to 22 mm."""
 
+TOUCH = 1e-9
+"""A motion may touch what it must keep clear of, to this share of the workspace's diagonal."""
+
 _AT_START, _BESIDE = 1e-4, 1e-5
 _BLOCK_HEIGHT = 0.04
 _KEYS = ("start", "goals", "workspace", "obstacles", "goal_radius", "clearance")
-_TOUCH = 1e-9  # of the diagonal: a motion may touch what it must keep from
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Scene:
     """Start, goals, workspace and obstacles, all in metres in the environment's world frame.
 
@@ -114,7 +116,7 @@ class Scene:
         """Raise if an obstacle lies over `point`, or within the clearance of it."""
         for i, obstacle in enumerate(self.obstacles):
             apart = float(obstacle.signed_distance(point))
-            if apart < self.clearance - _TOUCH * self.diagonal:
+            if apart < self.clearance - TOUCH * self.diagonal:
                 where = "over" if apart < 0 else f"{apart:.3g} m from"
                 raise InvalidSceneError(
                     f"obstacles[{i}] lies {where} the {name} {point.tolist()}"
@@ -162,7 +164,7 @@ class Scene:
 
     def feasible(self, curves: ArrayLike, target: int) -> np.ndarray:
         """Whether each of `curves (..., T, D)` [m] keeps clear of everything, `(...)` bool."""
-        return (self.margin_at(curves, target) >= -_TOUCH * self.diagonal).all(-1)
+        return (self.margin_at(curves, target) >= -TOUCH * self.diagonal).all(-1)
 
     @property
     def size(self) -> float:
@@ -193,9 +195,12 @@ class Scene:
         """Positions `(G − 1, D)` [m] of all other goals."""
         return np.delete(self.goals, target_index(target, self.num_goals), axis=0)
 
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> np.ndarray:
-        """Whether each of `points (..., D)` [m] lies in the workspace, `(...)` bool."""
-        points = np.asarray(points)
+    def contains(self, points: ArrayLike, tolerance: float = TOUCH) -> np.ndarray:
+        """Whether each of `points (..., D)` [m] lies in the workspace, `(...)` bool.
+
+        Or beyond it by at most `tolerance`, a share of the diagonal.
+        """
+        points, tolerance = np.asarray(points), tolerance * self.diagonal
         low, high = self.workspace
         return ((points >= low - tolerance) & (points <= high + tolerance)).all(-1)
 
@@ -225,7 +230,7 @@ class Scene:
             distance, slope = solids.nearest(start[None])
             if distance[0] >= 0:
                 break
-            start = start + (_TOUCH * self.diagonal - distance[0]) * slope[0]
+            start = start + (TOUCH * self.diagonal - distance[0]) * slope[0]
             start = np.clip(start, *self.workspace)
         apart = [float(obstacle.signed_distance(start)) for obstacle in obstacles]
         nearest = float(np.linalg.norm(self.goals - start, axis=-1).min())
@@ -246,8 +251,20 @@ class Scene:
         )
 
     def __hash__(self) -> int:
+        return self._hash
+
+    @functools.cached_property
+    def _hash(self) -> int:
         arrays = (self.start.tobytes(), self.goals.tobytes(), self.workspace.tobytes())
         return hash((arrays, self.obstacles, self.goal_radius, self.clearance))
+
+    def __repr__(self) -> str:
+        content = self.to_dict()
+        if np.array_equal(self.workspace, DEFAULT_WORKSPACE[self.dim]):
+            del content["workspace"]
+        if self.obstacles:
+            content["obstacles"] = list(self.obstacles)
+        return f"Scene({', '.join(f'{name}={value}' for name, value in content.items())})"
 
     def __reduce__(self) -> tuple[type[Scene], tuple[Any, ...]]:
         return Scene, tuple(getattr(self, name) for name in _KEYS)  # copies stay read-only
@@ -267,8 +284,8 @@ class Scene:
         """The inverse of `to_dict`; all but `start` and `goals` may be left out."""
         if not isinstance(content, dict):
             raise InvalidSceneError(
-                "a scene must be a mapping with the keys start, goals and optionally others; got "
-                f" {'nothing' if content is None else type(content).__name__}"
+                "a scene must be a mapping with the keys start, goals and optionally others, got "
+                f"{'nothing' if content is None else type(content).__name__}"
             )
         differences = {
             "unknown": content.keys() - _KEYS,

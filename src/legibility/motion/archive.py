@@ -24,15 +24,23 @@ from ..intent.field import Field
 from ..intent.labels import label_knots
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import DEFAULT_OBSERVER, Observer
-from ..scene import Scene
-from .bezier import bending_energy, bezier_trajectories, crosses_itself, straight_controls
+from ..scene import TOUCH, Scene
+from .bezier import (
+    bending_energy,
+    bezier_bounds,
+    bezier_stretches,
+    bezier_trajectories,
+    crosses_itself,
+    straight_controls,
+)
 
 _BATCH = 1024
 _REACH = 1 / 3
 """Margin in which control points are drawn around the region that curves may reach, as a share of
 its side: a cubic Bézier gets three quarters of the way to its control points."""
 
-_FINE = 4 * SCORE_POINTS  # points at which a curve near an obstacle is checked
+_FINE = 4 * SCORE_POINTS  # points on which a length is measured
+_STRETCHES = (24, 8, 8, 8)  # parts into which a curve, then a stretch near an obstacle, is cut
 _WIDEST = 64.0  # lengths of the straight line within which a way around is looked for
 
 DEFAULT_CELLS = {2: 28, 3: 11}
@@ -199,7 +207,7 @@ class CurveGrid:
         energies = bending_energy(controls)
         keep = np.flatnonzero(energies < self.energies[cells])
         keep = keep[~crosses_itself(controls[keep])]
-        keep = keep[free(self.scene, self.target, controls[keep], trajectories[keep])]
+        keep = keep[free(self.scene, self.target, controls[keep])]
         controls, descriptors = controls[keep], descriptors[keep]
         cells, energies = cells[keep], energies[keep]
         # The smoothest of each cell in this batch takes the cell.
@@ -212,25 +220,29 @@ class CurveGrid:
         return new
 
 
-def free(scene: Scene, target: int, controls: Array, trajectories: Array) -> np.ndarray:
+def free(scene: Scene, target: int, controls: Array) -> np.ndarray:
     """Whether each curve `controls (N, 4, D)` keeps clear of walls and obstacles, `(N,)` bool.
 
-    `trajectories (N, T, D)` [m] are their points at equal arc length. A curve that comes so near
-    that it could touch something between two of them is checked at more points.
+    A stretch of a curve touches nothing if its ends are together farther from everything solid than
+    it is long. Others are cut finer.
     """
-    inside = scene.contains(trajectories).all(-1)
+    low, high = bezier_bounds(controls)
+    clear = scene.contains(low) & scene.contains(high)
     if not scene.obstacles and not scene.goal_radius:
-        return inside
-    rows = np.flatnonzero(inside)
-    margin = scene.margin_at(trajectories[rows], target)
-    solid = scene.solids(target).distance(trajectories[rows].reshape(-1, scene.dim))
-    solid = solid.reshape(margin.shape).min(-1)
-    gap = np.linalg.norm(trajectories[rows, 1] - trajectories[rows, 0], axis=-1)
-    inside[rows[solid < -1e-9 * scene.diagonal]] = False
-    near = rows[(solid >= -1e-9 * scene.diagonal) & (solid < gap / 2)]
-    if len(near):
-        inside[near] = scene.feasible(bezier_trajectories(controls[near], _FINE), target)
-    return inside
+        return clear
+    solids, least = scene.solids(target), -TOUCH * scene.diagonal
+    rows = np.flatnonzero(clear)
+    first, width = np.zeros(len(rows)), 1.0
+    for parts in _STRETCHES:
+        points = bezier_stretches(controls[rows], first, width, parts + 1)
+        distance = solids.distance(points.reshape(-1, scene.dim)).reshape(points.shape[:-1])
+        clear[rows[distance.min(-1) < least]] = False
+        length = 1.1 * np.linalg.norm(np.diff(points, axis=-2), axis=-1)  # of an arc above a chord
+        near = (distance[:, :-1] + distance[:, 1:] < length) & clear[rows, None]
+        width /= parts
+        row, part = np.nonzero(near)
+        rows, first = rows[row], first[row] + width * part
+    return clear
 
 
 @np.errstate(under="ignore")
@@ -375,17 +387,17 @@ def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Arra
     """
     straight = straight_controls(scene.start, scene.target(target))
     scale = Frame.of(scene, target).scale
-    if free(scene, target, straight[None], bezier_trajectories(straight[None], SCORE_POINTS))[0]:
+    if free(scene, target, straight[None])[0]:
         return straight, scale
     best, lengths = np.empty((0, 4, scene.dim)), np.empty(0)
 
     def keep_shortest(controls: Array) -> None:
         nonlocal best, lengths
+        controls = controls[free(scene, target, controls)]
+        controls = controls[~crosses_itself(controls)]
+        best = np.concatenate([best, controls])
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
-        rows = np.flatnonzero(free(scene, target, controls, trajectories))
-        rows = rows[~crosses_itself(controls[rows])]
-        best = np.concatenate([best, controls[rows]])
-        lengths = np.concatenate([lengths, arc_length(trajectories[rows])])
+        lengths = np.concatenate([lengths, arc_length(trajectories)])
         order = np.argsort(lengths, kind="stable")[:32]
         best, lengths = best[order], lengths[order]
 
