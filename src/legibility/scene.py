@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from .checks import Array, bounded, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
-from .files import read_document, write_bytes, write_json
-from .obstacles import Ball, Box, Obstacle, Polygon, Solids, obstacle_from_dict, solids_of
+from .files import read_document, write_document
+from .obstacles import Obstacle, Solids, obstacle_from_dict, solids_of
 
 DEFAULT_WORKSPACE = {2: ((-0.1, -0.1), (1.1, 1.1)), 3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40))}
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
@@ -304,13 +304,7 @@ class Scene:
     def save(self, path: str | Path) -> None:
         """Write the scene as YAML or JSON, by the file's suffix (.yaml, .yml, .json)."""
         _check_suffix(path)
-        if Path(path).suffix.lower() == ".json":
-            write_json(path, self.to_dict())
-        else:
-            import yaml
-
-            text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
-            write_bytes(path, text.encode())
+        write_document(path, self.to_dict())
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..intent.metrics import DEFAULT_BETA
 from ..intent.observer import Observer
 from .options import OutputFile, SceneFile, flags, made
 from .output import check_file, note, number, show, significant, table, write_report
@@ -22,7 +21,7 @@ def score(
     scene: SceneFile,
     observer: Annotated[Any, arg(constructor=flags(Observer))],
     target: int = 0,
-    beta: float = DEFAULT_BETA,
+    beta: float | None = None,
     json: OutputFile = None,
 ) -> None:
     """Rate trajectories by every metric; no model is needed.
@@ -38,7 +37,7 @@ def score(
         scene: a scene file, .yaml or .json.
         observer: the observer of the score and the labels.
         target: index of the intended goal, from 0.
-        beta: rationality [1/m] of Dragan's observer.
+        beta: rationality [1/m] of Dragan's observer; 20 over the scene's size if not given.
         json: everything as JSON.
     """
     from ..checks import target_index
