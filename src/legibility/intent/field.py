@@ -23,7 +23,7 @@ _FARTHEST = 1e100  # of a coordinate; points beyond it are drawn in along their 
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Field:
     """The posterior over goals of an observer who reads a position.
 
@@ -91,6 +91,12 @@ class Field:
             array.setflags(write=False)
         vars(self).update(goals=goals, precision=precision, beta=beta, log_prior=log_prior)
         vars(self).update(_origin=origin, _slope=slope, _intercept=intercept)
+
+    def __repr__(self) -> str:
+        return (
+            f"Field(goals={self.goals.tolist()}, precision={self.precision.tolist()}, "
+            f"beta={self.beta:g}, log_prior={self.log_prior.tolist()})"
+        )
 
     @property
     def prior(self) -> Array:
@@ -167,6 +173,7 @@ class Field:
         return self.potential(points, target)
 
 
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class InformationPotentialField(Field):
     """The paper's field (section V.A): the likelihood `P(x|g) = N(x; g, σ²I)` around each goal.
 
@@ -191,6 +198,12 @@ class InformationPotentialField(Field):
             )
         super().__init__(goals, precision, log_prior=np.log(prior_array(prior, len(goals))))
         vars(self).update(sigma=sigma)
+
+    def __repr__(self) -> str:
+        return (
+            f"InformationPotentialField(goals={self.goals.tolist()}, sigma={self.sigma:g}, "
+            f"prior={self.prior.tolist()})"
+        )
 
 
 def _is_semidefinite(matrix: Array) -> bool:
