@@ -228,7 +228,7 @@ class Solids(NamedTuple):
         axes: `(..., O, D, D)`, the rows are a box's own axes.
         halves: `(..., O, D)`, half the size along each of them.
         radii: `(..., O)`.
-        vertices: `(..., Q, V, 2)`, counter-clockwise, filled up by the last one; Q = 0 in 3D.
+        vertices: `(..., Q, V, D)`, counter-clockwise, filled up by the last one; Q = 0 in 3D.
         polygon_radii: `(..., Q)`.
     """
 
@@ -325,7 +325,7 @@ def solids_of(
     if not rows:
         rows.append((np.zeros(dim), np.eye(dim), np.zeros(dim), _FAR))
     most = max((len(p) for p in polygons), default=0)
-    vertices = np.zeros((len(polygons), most, 2))
+    vertices = np.zeros((len(polygons), most, dim))
     for i, polygon in enumerate(polygons):
         vertices[i] = np.pad(polygon, ((0, most - len(polygon)), (0, 0)), "edge")
     columns = (np.array(column) for column in zip(*rows, strict=True))
