@@ -120,8 +120,8 @@ def scene_solids(scene: Scene, target: int) -> tuple[np.ndarray, ...]:
     there = solids.radii > _ABSENT / 2
     centers[~there] = 0
     radii[~there] = _ABSENT
-    vertices = frame.world_to_frame(solids.vertices)
-    polygon_radii = solids.polygon_radii / frame.scale
+    vertices, owner = _small(frame.world_to_frame(solids.vertices))
+    polygon_radii = solids.polygon_radii[owner] / frame.scale
     upper = np.triu_indices(scene.dim)
     matrices = axes.swapaxes(-1, -2) @ (halves[..., None] * axes)
     rows = [np.concatenate([centers, matrices[:, *upper], radii[:, None], there[:, None]], axis=-1)]
@@ -139,7 +139,23 @@ def scene_solids(scene: Scene, target: int) -> tuple[np.ndarray, ...]:
     return tuple(array.astype(np.float32) for array in arrays)
 
 
-_NO_POLYGON = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+_MOST_VERTICES = 6
+_NO_POLYGON = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0]])
+
+
+def _small(polygons: Array) -> tuple[Array, list[int]]:
+    """Polygons `(Q, V, 2)` cut into ones of 6 vertices, and the index of that which each is of."""
+    parts, owner = [], []
+    for index, polygon in enumerate(polygons):
+        corners = polygon[np.append(True, np.diff(polygon, axis=0).any(-1))]
+        first = 1
+        while first < len(corners) - 1:
+            part = np.concatenate([corners[:1], corners[first : first + _MOST_VERTICES - 1]])
+            parts.append(np.pad(part, ((0, _MOST_VERTICES - len(part)), (0, 0)), "edge"))
+            owner.append(index)
+            first += _MOST_VERTICES - 2
+    shape = (0, _MOST_VERTICES, polygons.shape[-1])
+    return (np.stack(parts) if parts else np.empty(shape)), owner
 
 
 def stacked(arrays: list[np.ndarray], fill: float = 0.0) -> np.ndarray:
@@ -156,15 +172,10 @@ def stacked_solids(solids: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ..
     centers, axes, halves, radii, vertices, polygon_radii, features = map(
         list, zip(*solids, strict=True)
     )
-    most = max(polygons.shape[1] for polygons in vertices)
     number = max(map(len, vertices))
-    if number:  # in 2D
-        for i, polygons in enumerate(vertices):
-            absent = np.broadcast_to(_NO_POLYGON, (number - len(polygons), 3, 2))
-            vertices[i] = np.concatenate([
-                np.pad(x, ((0, 0), (0, most - x.shape[1]), (0, 0)), "edge")
-                for x in (polygons, absent)
-            ])  # fmt: skip
+    for i, polygons in enumerate(vertices):
+        absent = np.broadcast_to(_NO_POLYGON, (number - len(polygons), *_NO_POLYGON.shape))
+        vertices[i] = np.concatenate([polygons, absent]) if number else polygons  # none in 3D
     return (
         stacked(centers), stacked(axes), stacked(halves), stacked(radii, _ABSENT),
         stacked(vertices), stacked(polygon_radii, _ABSENT), stacked(features),
