@@ -200,7 +200,11 @@ _KEYS = {"ball": ({"center", "radius"}, set()), "box": ({"center", "size"}, {"ya
 
 def obstacle_from_dict(content: Any) -> Obstacle:
     """The obstacle of a scene file, one of `ball`, `box` and `polygon`."""
-    if not isinstance(content, dict) or len(content) != 1 or not content.keys() <= {*_KEYS, "polygon"}:
+    if (
+        not isinstance(content, dict)
+        or len(content) != 1
+        or not content.keys() <= {*_KEYS, "polygon"}
+    ):
         raise InvalidSceneError(
             f"an obstacle must be a mapping with one key, ball, box or polygon, got {content!r}"
         )
@@ -273,7 +277,9 @@ class Solids(NamedTuple):
             return distance, None
         face = [b == most for b in beyond]
         shared = sum(1.0 * f for f in face)
-        slope = [xp.where(most > 0, o / reach, f / shared) for o, f in zip(outer, face, strict=True)]
+        slope = [
+            xp.where(most > 0, o / reach, f / shared) for o, f in zip(outer, face, strict=True)
+        ]
         slope = [xp.where(x < 0, -g, g) for x, g in zip(local, slope, strict=True)]
         world = [sum(self.axes[..., i, d, None] * slope[i] for i in dims) for d in dims]
         return distance, xp.stack(world, -1)
@@ -283,7 +289,10 @@ class Solids(NamedTuple):
         number = self.vertices.shape[-2]
         parts = []
         for v in range(number):  # one edge at a time, likewise
-            corner, end = self.vertices[..., v, :, None], self.vertices[..., (v + 1) % number, :, None]
+            corner, end = (
+                self.vertices[..., v, :, None],
+                self.vertices[..., (v + 1) % number, :, None],
+            )
             ex, ey = end[..., 0, :] - corner[..., 0, :], end[..., 1, :] - corner[..., 1, :]
             squared = ex * ex + ey * ey
             dx, dy = x - corner[..., 0, :], y - corner[..., 1, :]

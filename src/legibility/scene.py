@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .checks import Array, bounded, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
 from .files import read_document, write_bytes, write_json
-from .obstacles import Ball, Box, Obstacle, Polygon, Solids, obstacle_from_dict, solids_of
+from .obstacles import Obstacle, Solids, obstacle_from_dict, solids_of
 
 DEFAULT_WORKSPACE = {2: ((-0.1, -0.1), (1.1, 1.1)), 3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40))}
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""

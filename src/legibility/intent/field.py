@@ -19,7 +19,6 @@ from ..checks import (
 )
 from ..errors import InvalidInputError
 
-
 _FARTHEST = 1e100  # beyond it only the direction counts
 
 
