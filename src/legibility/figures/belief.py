@@ -62,7 +62,8 @@ def describe(scene: Scene, observer: Observer) -> str:
     if observer.viewpoint is not None:
         eyes = ", ".join(f"{x:.3g}" for x in observer.viewpoint)
         words.append(f"seen from ({eyes}), depth {observer.depth:g}")
-    return ", ".join(words)
+    no_break = "\N{NO-BREAK SPACE}"
+    return ", ".join(words).replace(" = ", f"{no_break}={no_break}").replace(" m", f"{no_break}m")
 
 
 def _read_alike(scene: Scene, observer: Observer, other: Observer) -> bool:

@@ -47,8 +47,8 @@ MOST = 25
 _COLUMNS = 5
 _DPI = {".gif": 110, ".mp4": 200}
 _EXACT = 48
-_LINE, _LETTER = 0.165, 0.062
-"""Height of a line of the key and width of a letter [in]."""
+_LINE, _SMALL, _LETTER = 0.14, 0.125, 0.056
+"""Height of a line of the key, height of a line of the caption and width of its letters [in]."""
 _HOLD = 1.5
 """Duration of the still at the end of a film [s]."""
 
@@ -125,13 +125,13 @@ class _Layout:
         self.widths = [0.55, *[width, 0.12] * self.columns]
         self.key_columns = (1, 2, 2, 3, 5)[self.columns - 1]
         self.key = _key(goal_colors(scene.num_goals, path.target), path.target)
-        if scene.dim == 2:  # an arm is rendered
+        if not rollouts[0].joint_angles.size:  # an arm is rendered
             self.key |= key(scene)
         self.caption = textwrap.wrap(_caption(self.readers), int(sum(self.widths) / _LETTER))
         lines = -(-len(self.key) // self.key_columns)
-        self.foot = 0.1 + _LINE * (lines + len(self.caption))
+        self.foot = 0.12 + _SMALL * len(self.caption)
         self.heights = [*[0.38, height, *[0.22, 0.8] * len(self.readers), 0.36] * self.rows]
-        self.heights.append(self.foot)
+        self.heights.append(self.foot + 0.08 + _LINE * lines)
         self.size = sum(self.widths), sum(self.heights)
 
 
@@ -202,12 +202,13 @@ class _Stage:
             else:
                 view = DrawnView(figure, cell, rollout)
             self.motions.append(_Motion(view, beliefs, rollout))
-        caption = _LINE * len(layout.caption) + 0.06
-        figure.text(0.5, 0.06 / layout.size[1], "\n".join(layout.caption), ha="center", fontsize=7)
+        height = layout.size[1]
+        caption = "\n".join(layout.caption)
+        figure.text(0.5, 0.06 / height, caption, ha="center", va="bottom", fontsize=7)
         figure.legend(
             [*layout.key.values()], [*layout.key], loc="lower center", borderpad=0,
-            borderaxespad=0.3, columnspacing=1.5, ncols=layout.key_columns,
-            bbox_to_anchor=(0, caption / layout.size[1], 1, 1),
+            borderaxespad=0, columnspacing=1.5, ncols=layout.key_columns,
+            bbox_to_anchor=(0, layout.foot / height, 1, 1),
             handler_map={tuple: HandlerTuple(ndivide=None, pad=0.2)},
         )  # fmt: skip
 

@@ -50,7 +50,7 @@ def draw_obstacles(
             facing = np.cross(*screen)
             faces = [f for f in _faces(obstacle) if np.cross(f[2] - f[0], f[3] - f[1]) @ facing > 0]
             surface = Poly3DCollection(
-                faces, facecolors=SOLID["fc"], shade=True, antialiased=False, lw=0, zorder=2.5
+                faces, facecolors="#eeeef2", shade=True, antialiased=False, lw=0, zorder=2.5
             )
             axes.add_collection3d(surface)
             outline(shape, color=_EDGE, lw=0.6)
@@ -66,7 +66,7 @@ def key(scene: Scene) -> dict[str, Any]:
     """Entries of a legend: their names and handles."""
     entries: dict[str, Any] = {}
     if scene.obstacles:
-        entries["obstacle"] = Patch(**SOLID)
+        entries["obstacle"] = Patch(**SOLID if scene.dim == 2 else SOLID | {"hatch": None})
         if scene.clearance:
             entries["clearance to keep"] = Line2D([], [], **OUTLINE)
     return entries

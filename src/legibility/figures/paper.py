@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -78,10 +79,12 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
         "path_effects": HALO if few else None,
     }
 
-    with figure_file(file, PAGE if several else 0.62 * PAGE, 2.5) as figure:
+    shown = readers(scene, path.observer)
+    height = 2.5 if len(shown) == 1 else 2.9
+
+    with figure_file(file, PAGE if several else 0.62 * PAGE, height) as figure:
         margin = 1.5 if several else 0.8
         cells = scene_cells(figure, scene, 3 if several else 2, height=1.95, margin=margin)
-        shown = readers(scene, path.observer)
         axes = scene_axes(
             figure, cells[0], scene, target, curves, path.field, reader=shown[-1].short
         )
@@ -119,9 +122,13 @@ def _draw_beliefs(
     panel = None
     for row, reader in zip(cell.subgridspec(len(shown), 1), shown, strict=True):
         panel = figure.add_subplot(row, xlim=(0, 1), ylim=(0, 1.02), sharex=panel)
-        alone = len(shown) == 1
-        title = "belief $P(g^*|x_t)$" + "\n" * alone + " of " + reader.title.replace(" (", "\n(")
-        panel.set_title(title, fontsize=8 if alone else 7, pad=3)
+        if len(shown) == 1:
+            panel.set_title(f"belief $P(g^*|x_t)$\nof {reader.title}")
+        else:
+            name, bracket, rest = f"belief of {reader.title}".partition(" (")
+            width = 24 if bracket else 99
+            words = [*textwrap.wrap(name, width), *textwrap.wrap(bracket[1:] + rest, 34)]
+            panel.set_title("\n".join(words), fontsize=7, pad=3)
         panel.set_yticks((0, 1 / scene.num_goals, 1), ("0", "chance", "1"))
         panel.axhline(1 / scene.num_goals, color=MUTED, lw=0.7, ls=DOTTED, zorder=0)
         panel.spines[:].set_zorder(5)
