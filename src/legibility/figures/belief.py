@@ -56,14 +56,14 @@ def describe(scene: Scene, observer: Observer) -> str:
         prior = "prior " + " : ".join(f"{weight:.3g}" for weight in prior)
     words = [observer.kind, prior]
     if observer.kind == "boltzmann":
-        words.append(f"β = {field.beta:.3g}/m")
+        width = f"β = {field.beta:.3g} m⁻¹"
     else:  # the narrowest direction is that across the line of sight
-        words.append(f"σ = {np.linalg.eigvalsh(field.precision)[-1] ** -0.5:.3g} m")
+        width = f"σ = {np.linalg.eigvalsh(field.precision)[-1] ** -0.5:.3g} m"
+    words.append(width.replace(" ", "\N{NO-BREAK SPACE}"))
     if observer.viewpoint is not None:
         eyes = ", ".join(f"{x:.3g}" for x in observer.viewpoint)
         words.append(f"seen from ({eyes}), depth {observer.depth:g}")
-    no_break = "\N{NO-BREAK SPACE}"
-    return ", ".join(words).replace(" = ", f"{no_break}={no_break}").replace(" m", f"{no_break}m")
+    return ", ".join(words)
 
 
 def _read_alike(scene: Scene, observer: Observer, other: Observer) -> bool:
