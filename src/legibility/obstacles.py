@@ -242,7 +242,7 @@ class Solids(NamedTuple):
         axes: `(..., O, D, D)`, the rows are a box's own axes.
         halves: `(..., O, D)`, half the size along each of them.
         radii: `(..., O)`.
-        vertices: `(..., Q, V, 2)`, counter-clockwise, filled up by the last one; Q = 0 in 3D.
+        vertices: `(..., Q, V, D)`, counter-clockwise, filled up by the last one; Q = 0 in 3D.
         polygon_radii: `(..., Q)`.
     """
 
@@ -290,24 +290,25 @@ class Solids(NamedTuple):
 
     def _polygons(self, xp: Any, columns: Any, gradient: bool) -> tuple[Any, Any]:
         """As `_boxes`, `(..., Q, K)` and `(..., Q, 2, K)`."""
-        corners = self.vertices[..., None]  # (..., Q, V, 2, 1)
-        edges = xp.roll(self.vertices, -1, -2)[..., None] - corners
-        offset = columns[..., None, :, :] - corners  # (..., Q, V, 2, K)
-        squared = (edges * edges).sum(-2)
-        along = ((offset * edges).sum(-2) / (squared + _TINY)).clip(min=0, max=1)
-        gaps = offset - along[..., None, :] * edges
-        apart = (gaps * gaps).sum(-2)  # (..., Q, V, K)
+        edges = xp.roll(self.vertices, -1, -2) - self.vertices
+        corner_x, corner_y = (self.vertices[..., i, None] for i in (0, 1))  # (..., Q, V, 1)
+        edge_x, edge_y = (edges[..., i, None] for i in (0, 1))
+        squared = edge_x * edge_x + edge_y * edge_y
+        x, y = (columns[..., None, i, :] - c for i, c in ((0, corner_x), (1, corner_y)))
+        along = ((x * edge_x + y * edge_y) / (squared + _TINY)).clip(min=0, max=1)
+        gap_x, gap_y = x - along * edge_x, y - along * edge_y  # (..., Q, V, K)
+        apart = gap_x * gap_x + gap_y * gap_y
         closest = xp.amin(apart, -2)
-        reach = xp.sqrt(closest + _TINY)
-        normals = xp.stack([edges[..., 1, :], -edges[..., 0, :]], -2)
-        normals = normals / xp.sqrt(squared + _TINY)[..., None, :]
-        depth = xp.where(squared > 0, (offset * normals).sum(-2), -np.inf)
+        length = xp.sqrt(squared + _TINY)
+        depth = xp.where(squared > 0, (x * edge_y - y * edge_x) / length, -np.inf)
         deepest = xp.amax(depth, -2)
-        inside = deepest <= 0
+        inside, reach = deepest <= 0, xp.sqrt(closest + _TINY)
         distance = xp.where(inside, deepest, reach) - self.polygon_radii[..., None]
         if not gradient:
             return distance, None
+        normals = xp.stack([edge_y, -edge_x], -2) / length[..., None, :]
         inward = _mean(depth == deepest[..., None, :], normals)
+        gaps = xp.stack([gap_x, gap_y], -2)
         outward = _mean(apart == closest[..., None, :], gaps) / reach[..., None, :]
         return distance, xp.where(inside[..., None, :], inward, outward)
 
@@ -344,7 +345,7 @@ def solids_of(
     if not rows:
         rows.append((np.zeros(dim), np.eye(dim), np.zeros(dim), _FAR))
     most = max((len(p) for p in polygons), default=0)
-    vertices = np.zeros((len(polygons), most, 2))
+    vertices = np.zeros((len(polygons), most, dim))
     for i, polygon in enumerate(polygons):
         vertices[i] = np.pad(polygon, ((0, most - len(polygon)), (0, 0)), "edge")
     columns = (np.array(column) for column in zip(*rows, strict=True))

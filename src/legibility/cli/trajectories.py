@@ -166,7 +166,7 @@ def _row(
         if not math.isfinite(row[-1]):
             raise InvalidInputError(f"{column} must be finite, got {text}")
     point = row[: scene.dim]
-    if not scene.contains(point, START_OVERSHOOT[scene.dim] * scene.diagonal):
+    if not scene.contains(point, START_OVERSHOOT[scene.dim]):
         raise InvalidInputError(f"{point} lies outside the workspace {scene.workspace.tolist()}")
     return name, row
 

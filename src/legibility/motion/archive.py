@@ -293,7 +293,7 @@ def build_archive(
         seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
-    anchor, shortest, reach = _shortest(rng, scene, target)
+    anchor, shortest, reach = _shortest(scene, target)
     grid = CurveGrid(scene, target, observer.detour * shortest, cells, reach)
     grid.add(anchor[None])
     tried, idle = 1, 0
@@ -396,7 +396,8 @@ def _with_ends(inner: Array, anchor: Array) -> Array:
     return controls
 
 
-def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Array, float, float]:
+@functools.lru_cache(maxsize=64)
+def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
     """The straight line `(4, D)`, or the shortest feasible curve where it is blocked.
 
     Random curves in a region that grows until some are feasible, then variations of the shortest.
@@ -405,9 +406,11 @@ def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Arra
         The curve, its length [m], and the margin (`_REACH`) in which such curves were found.
     """
     straight = straight_controls(scene.start, scene.target(target))
+    straight.setflags(write=False)
     scale = Frame.of(scene, target).scale
     if free(scene, target, straight[None])[0]:
         return straight, scale, _REACH
+    rng = np.random.default_rng(0)
     best, lengths = np.empty((0, 4, scene.dim)), np.empty(0)
 
     def keep_shortest(controls: Array) -> None:
@@ -424,7 +427,8 @@ def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Arra
         reach = min(growth * _REACH, _LARGEST_REACH)
         bounds = _bounds(scene, target, 2.5 * growth * scale, reach)
         for _ in range(4):
-            keep_shortest(_with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
+            if len(best) < 8:
+                keep_shortest(_with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
         if len(best) >= 8:
             break
     if not len(best):
@@ -433,11 +437,22 @@ def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Arra
             f"goals[{target}] {scene.goals[target].tolist()} past the obstacles and within the "
             "workspace"
         )
-    for generation in range(20):
-        parents = best[rng.integers(0, len(best), _BATCH // 2)][:, 1:3]
-        noise = rng.normal(0, 0.2 * scale * 0.75**generation, parents.shape)
+    for generation in range(12):
+        parents = best[rng.integers(0, len(best), _BATCH // 4)][:, 1:3]
+        noise = rng.normal(0, 0.2 * scale * 0.7**generation, parents.shape)
         keep_shortest(_with_ends(parents + noise, straight))
-    return best[0], float(lengths[0]), reach
+    anchor = best[0]
+    anchor.setflags(write=False)
+    return anchor, float(lengths[0]), reach
+
+
+def passable(scene: Scene, target: int) -> bool:
+    """Whether some curve leads to goal `target`."""
+    try:
+        _shortest(scene, scene.check_target(target))
+    except InvalidSceneError:
+        return False
+    return True
 
 
 @functools.lru_cache(maxsize=32)
