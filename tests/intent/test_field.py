@@ -264,6 +264,20 @@ def test_posterior_is_bayes_rule_with_any_energy(seed, num_goals, dim):
     np.testing.assert_allclose(field.prior, weights / weights.sum())
 
 
+@given(seeds, counts, dims, st.sampled_from([0.0, 20.0]), st.sampled_from([0.0, 1.0, 30.0]))
+def test_potential_and_gradient_are_the_potential_and_its_slope(seed, num, dim, beta, sharpness):
+    rng = np.random.default_rng(seed)
+    precision = sharpness * random_precision(rng, dim)
+    field = Field(rng.uniform(0, 1, (num, dim)), precision, beta + 0.1, rng.normal(size=num))
+    x, step = rng.uniform(-0.5, 1.5, (4, 5, dim)), 1e-6
+    for target in range(num):
+        potential, gradient = field.potential_and_gradient(x, target)
+        np.testing.assert_allclose(potential, field.potential(x, target), rtol=1e-9, atol=1e-250)
+        ends = [[field.potential(x + s * e, target) for s in (step, -step)] for e in np.eye(dim)]
+        slope = np.stack([(a - b) / (2 * step) for a, b in ends], axis=-1)
+        np.testing.assert_allclose(gradient, slope, rtol=1e-3, atol=1e-3)
+
+
 @given(seeds, counts, dims)
 def test_a_field_with_both_energies_moves_turns_and_scales_with_the_world(seed, num_goals, dim):
     rng = np.random.default_rng(seed)

@@ -19,6 +19,7 @@ from legibility.motion.archive import (
     CurveGrid,
     build_archive,
     free,
+    passable,
     scene_archive,
 )
 from legibility.motion.bezier import (
@@ -490,6 +491,7 @@ class TestObstacles:
         straight = np.linalg.norm(blocked.scene.goals[0] - blocked.scene.start)
         lengths = arc_length(bezier_trajectories(blocked.controls, 400))
         assert blocked.blocked
+        assert passable(blocked.scene, 0)
         assert straight < blocked.shortest_length <= lengths.min() * 1.001
         assert blocked.label_of(blocked.anchor_score) == 0
         curve = bezier_trajectories(blocked.anchor[None], SCORE_POINTS)
@@ -515,6 +517,10 @@ class TestObstacles:
         way = blocked.scene.goals[0] - blocked.scene.start
         side = middle[:, 1] * way[0] - middle[:, 0] * way[1]
         assert 0.05 < np.mean(side > 0) < 0.95
+
+    def test_it_does_not_hang_on_the_seed(self, blocked):
+        other = build_archive(blocked.scene, seed=2, cells=4)
+        np.testing.assert_array_equal(other.anchor, blocked.anchor)
 
     def test_an_s_bend_is_found(self):
         walls = [lg.Box([0.35, 0.3], [0.02, 1]), lg.Box([0.65, 0.7], [0.02, 1])]
@@ -548,6 +554,7 @@ class TestObstacles:
     def test_scenes_without_a_way_are_refused(self, change, message):
         with pytest.raises(InvalidSceneError, match=message) as caught:
             build_archive(lg.Scene(PAPER.start, PAPER.goals, **change))
+        assert not passable(lg.Scene(PAPER.start, PAPER.goals, **change), 0)
         assert "\n" not in str(caught.value)
 
 
