@@ -27,6 +27,8 @@ def rank_label(scores: ArrayLike) -> Array:
 def anchored_label(scores: ArrayLike, straight_score: float) -> Array:
     """Rank on either side of the straight line's score, `(N,)`: ℓ = 0 *is* the straight line.
 
+    Or the shortest curve, where something is in its way.
+
     The n scores above the straight line's are labelled 1/n, 2/n, …, 1 in rising order, those below
     −1/n, −2/n, …, −1 in falling order; equal scores share their mean rank.
     """

@@ -420,7 +420,7 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
         best = np.concatenate([best, controls])
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
         lengths = np.concatenate([lengths, arc_length(trajectories)])
-        order = np.argsort(lengths, kind="stable")[:32]
+        order = np.argsort(lengths, kind="stable")[:8]
         best, lengths = best[order], lengths[order]
 
     for growth in 2.0 ** np.arange(6):
