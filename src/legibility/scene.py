@@ -155,7 +155,10 @@ class Scene:
 
     def _distance(self, points: ArrayLike, solids: Solids) -> Array:
         points = finite_array("points", points, min_ndim=1, last=self.dim)
-        walls = self._walls(points)
+        (low, high), dims = self.workspace, range(self.dim)
+        # One coordinate at a time: reductions over a short last axis are slow in NumPy.
+        gaps = [np.minimum(points[..., d] - low[d], high[d] - points[..., d]) for d in dims]
+        walls = functools.reduce(np.minimum, gaps)
         if not self.obstacles and not self.goal_radius:
             return walls
         flat = points.reshape(-1, self.dim)
@@ -199,14 +202,9 @@ class Scene:
 
         Or beyond it by at most `tolerance`, a share of the diagonal.
         """
-        return self._walls(np.asarray(points)) >= -tolerance * self.diagonal
-
-    def _walls(self, points: np.ndarray) -> np.ndarray:
-        """Distance [m] of `points (..., D)` from the nearest wall, `(...)`, negative outside."""
-        # One coordinate at a time: reductions over a short last axis are slow in NumPy.
-        (low, high), axes = self.workspace, range(self.dim)
-        gaps = [np.minimum(points[..., d] - low[d], high[d] - points[..., d]) for d in axes]
-        return functools.reduce(np.minimum, gaps)
+        points, tolerance = np.asarray(points), tolerance * self.diagonal
+        low, high = self.workspace
+        return ((points >= low - tolerance) & (points <= high + tolerance)).all(-1)
 
     def starting_at(self, position: Array) -> Scene:
         """The scene for a robot that now stands at `position (D,)` [m].

@@ -427,8 +427,7 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
         reach = min(growth * _REACH, _LARGEST_REACH)
         bounds = _bounds(scene, target, 2.5 * growth * scale, reach)
         for _ in range(4):
-            if len(best) < 8:
-                keep_shortest(_with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
+            keep_shortest(_with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
         if len(best) >= 8:
             break
     if not len(best):
@@ -437,9 +436,9 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
             f"goals[{target}] {scene.goals[target].tolist()} past the obstacles and within the "
             "workspace"
         )
-    for generation in range(12):
+    for generation in range(16):
         parents = best[rng.integers(0, len(best), _BATCH // 4)][:, 1:3]
-        noise = rng.normal(0, 0.2 * scale * 0.7**generation, parents.shape)
+        noise = rng.normal(0, 0.2 * scale * 0.75**generation, parents.shape)
         keep_shortest(_with_ends(parents + noise, straight))
     anchor = best[0]
     anchor.setflags(write=False)
