@@ -24,7 +24,7 @@ from ..scene import Scene
 _POINTS, _PARTS = 46, 8  # points of a curve, and the parts of a step between two where it is near
 _PAD, _SLACK = 0.02, 1e-3  # clearance aimed at and needed, where start and goal allow it
 _RISE = 0.3  # by which the pad grows over progress from an end
-_CONTACT, _SCORE, _LENGTH, _JERK = 25.0, 100.0, 100.0, 1.0  # weights of squares
+_CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 100.0, 100.0, 1.0  # weights of squares
 _STEPS, _SOLVES = 12, 2
 _LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
 _TOLERANCE = 1e-3  # of log(−score)
@@ -33,6 +33,7 @@ _LEAST_COST = 1e-12
 _TOUCHING = 1e6  # merit of a path in contact
 _SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
 _TINY = 1e-30
+GROW, WAIT, SHRINK = 1.5, 2, 1.0
 
 
 def project(
@@ -295,7 +296,7 @@ class _Task:
                 np.minimum.at(worst, row, room.clearance(between).min(-1) - slack)
         return np.where(worst < 0, _TOUCHING - worst, merit)
 
-    def step(self, paths: Array, rows: np.ndarray, curves: _Curves) -> Array:
+    def step(self, paths: Array, rows: np.ndarray, curves: _Curves, contact: float) -> Array:
         """The paths after a step of Gauss–Newton.
 
         Contact counts where there is any after the step, so the system is solved more than once.
@@ -304,9 +305,11 @@ class _Task:
         size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
         points, gap, normal, error, slope, excess, stretch = curves
         error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
-        system = matrices.stiffness + _SCORE * slope[:, :, None] * slope[:, None, :]
+        hit = (gap + room.pad).min(-1) < 0
+        score = np.where(hit, _SCORE * (contact / _CONTACT) ** -SHRINK, _SCORE)
+        system = matrices.stiffness + (score[:, None] * slope)[:, :, None] * slope[:, None, :]
         force = (self.pull[rows] - matrices.smooth @ paths).reshape(-1, size)
-        force -= (_SCORE * error)[:, None] * slope
+        force -= (score * error)[:, None] * slope
         if (excess > 0).any():
             weight = _LENGTH * (excess > 0)[:, None]
             system += weight[..., None] * stretch[:, :, None] * stretch[:, None, :]
@@ -323,8 +326,8 @@ class _Task:
             dense = metric.reshape(len(paths), _POINTS, -1).swapaxes(1, 2) @ matrices.outer
             dense = dense.reshape(-1, dim, dim, NUM_WAYPOINTS, NUM_WAYPOINTS)
             dense = dense.transpose(0, 3, 1, 4, 2).reshape(-1, size, size)
-            right = force + _CONTACT * (matrices.spline.T @ push).reshape(-1, size)
-            change = np.linalg.solve(system + _CONTACT * dense, right[..., None])
+            right = force + contact * (matrices.spline.T @ push).reshape(-1, size)
+            change = np.linalg.solve(system + contact * dense, right[..., None])
             change = change.reshape(-1, NUM_WAYPOINTS, dim)
             shift = matrices.spline @ change
             moved = points + shift
@@ -352,7 +355,7 @@ def _descend(task: _Task, paths: Array, rows: np.ndarray) -> tuple[Array, Array]
         if not going.all():
             left, paths, rows = left[going], paths[going], rows[going]
             curves = _Curves(*(x[going] for x in curves))
-        paths = task.step(paths, rows, curves)
+        paths = task.step(paths, rows, curves, _CONTACT * GROW ** max(0, i - WAIT))
     return best, merit
 
 
