@@ -24,16 +24,16 @@ from ..scene import Scene
 _POINTS, _PARTS = 46, 8  # points of a curve, and the parts of a step between two where it is near
 _PAD, _SLACK = 0.02, 1e-3  # clearance aimed at and needed, where start and goal allow it
 _RISE = 0.3  # by which the pad grows over progress from an end
-_CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 100.0, 100.0, 1.0  # weights of squares
+_CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 30.0, 100.0, 1.0  # weights of squares
+_GROWTH = 1.5  # of the weight of contact from step to step
 _STEPS, _SOLVES = 12, 2
 _LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
 _TOLERANCE = 1e-3  # of log(−score)
-_RETRY = 0.01  # error of log(−score) above which other ways are tried
+_RETRY = 0.03  # error of log(−score) above which other ways are tried
 _LEAST_COST = 1e-12
 _TOUCHING = 1e6  # merit of a path in contact
 _SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
 _TINY = 1e-30
-GROW, WAIT, SHRINK = 1.5, 2, 1.0
 
 
 def project(
@@ -75,6 +75,11 @@ def project(
         into = rows[better]
         best[into] = more.reshape(ways.shape)[chosen, each][better]
         merit[into] = merits[chosen, each][better]
+    rows = np.flatnonzero(merit >= _TOUCHING)
+    if len(rows):
+        more, merits = _descend(task, best[rows], rows, score=0.0)
+        better = merits < merit[rows]
+        best[rows[better]], merit[rows[better]] = more[better], merits[better]
     moved = (best != task.drawn).any((-2, -1))
     result = paths.copy()
     result[moved, 1:-1] = best[moved, 1:-1] * room.scale + scene.start
@@ -88,6 +93,7 @@ class _Room:
     Attributes:
         scale: length of the straight line [m].
         solids: all that must not be touched.
+        bounds: centres `(O, D)` and radii `(O,)` of balls around them.
         field: the observer's.
         target: index of the intended goal.
         workspace: `(2, D)`.
@@ -99,6 +105,7 @@ class _Room:
 
     scale: float
     solids: Solids
+    bounds: tuple[Array, Array]
     field: Field
     target: int
     workspace: Array
@@ -144,7 +151,7 @@ class _Room:
         line = progress[:, None] * ends[1]
         straight = bool((solids.distance(line) >= slack).all())
         return cls(
-            scale, solids, field, target, workspace,
+            scale, solids, _balls_around(solids), field, target, workspace,
             low + below, high - above, around, slack, straight,
         )  # fmt: skip
 
@@ -153,12 +160,38 @@ class _Room:
         low, high = self.workspace
         return np.minimum(points - low, high - points).min(-1)
 
+    def nearest(self, points: Array, reach: float) -> tuple[Array, Array]:
+        """Distance `(N,)` of `points (N, D)` from solids, and its gradient `(N, D)`.
+
+        Beyond `reach` a smaller distance, and no gradient.
+        """
+        centers, radii = self.bounds
+        squares = np.einsum("nd,nd->n", points, points)
+        apart = squares - 2 * (centers @ points.T) + (centers * centers).sum(-1)[:, None]
+        distance = (np.sqrt(np.maximum(apart, 0)) - radii[:, None]).min(0)
+        normal = np.zeros_like(points)
+        near = np.flatnonzero(distance < reach)
+        if len(near):
+            distance[near], normal[near] = self.solids.nearest(points[near])
+        return distance, normal
+
     def clearance(self, points: Array) -> Array:
         """Distance `(...)` of points `(..., D)` from everything."""
         walls = self.to_walls(points)
         return np.minimum(
             walls, self.solids.distance(points.reshape(-1, points.shape[-1])).reshape(walls.shape)
         )
+
+
+def _balls_around(solids: Solids) -> tuple[Array, Array]:
+    """Centres `(O, D)` and radii `(O,)` of balls that hold each solid."""
+    radii = np.sqrt((solids.halves**2).sum(-1)) + solids.radii
+    if not solids.vertices.shape[-3]:
+        return solids.centers, radii
+    middles = solids.vertices.mean(-2)
+    around = np.linalg.norm(solids.vertices - middles[:, None], axis=-1).max(-1)
+    around += solids.polygon_radii
+    return np.concatenate([solids.centers, middles]), np.concatenate([radii, around])
 
 
 class _Curves(NamedTuple):
@@ -219,8 +252,10 @@ class _Task:
         room, size = self.room, NUM_WAYPOINTS * paths.shape[-1]
         matrices = _matrices(paths.shape[-1])
         points = matrices.curve @ paths
-        gap, normal = room.solids.nearest(points.reshape(-1, points.shape[-1]))
         cost, length, slope, tangents = self._cost(points, gradient=True)
+        # Near enough for contact between two points, or for the pad.
+        reach = max(_PAD, 2 * length.max() / _POINTS)
+        gap, normal = room.nearest(points.reshape(-1, points.shape[-1]), reach)
         excess = np.log(length / self.longest[rows])
         stretch = np.zeros((len(paths), size))
         if (excess > 0).any():
@@ -296,7 +331,9 @@ class _Task:
                 np.minimum.at(worst, row, room.clearance(between).min(-1) - slack)
         return np.where(worst < 0, _TOUCHING - worst, merit)
 
-    def step(self, paths: Array, rows: np.ndarray, curves: _Curves, contact: float) -> Array:
+    def step(
+        self, paths: Array, rows: np.ndarray, curves: _Curves, contact: float, score: float
+    ) -> Array:
         """The paths after a step of Gauss–Newton.
 
         Contact counts where there is any after the step, so the system is solved more than once.
@@ -305,8 +342,8 @@ class _Task:
         size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
         points, gap, normal, error, slope, excess, stretch = curves
         error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
-        hit = (gap + room.pad).min(-1) < 0
-        score = np.where(hit, _SCORE * (contact / _CONTACT) ** -SHRINK, _SCORE)
+        # The score yields to contact.
+        score = np.where((gap + room.pad).min(-1) < 0, score * _CONTACT / contact, score)
         system = matrices.stiffness + (score[:, None] * slope)[:, :, None] * slope[:, None, :]
         force = (self.pull[rows] - matrices.smooth @ paths).reshape(-1, size)
         force -= (score * error)[:, None] * slope
@@ -339,23 +376,28 @@ class _Task:
 
 
 @np.errstate(under="ignore")
-def _descend(task: _Task, paths: Array, rows: np.ndarray) -> tuple[Array, Array]:
+def _descend(
+    task: _Task, paths: Array, rows: np.ndarray, score: float = _SCORE
+) -> tuple[Array, Array]:
     """The best paths on the way from `paths (B, K + 2, D)`, and their merits `(B,)`."""
     best, merit = paths.copy(), np.full(len(paths), np.inf)
-    left = np.arange(len(paths))
+    left, before = np.arange(len(paths)), np.full(len(paths), np.inf)
     for i in range(_STEPS + 1):
         curves = task.curves(paths, rows)
         found = task.merit(paths, curves, merit[left])
         better = found < merit[left]
         into = left[better]
         best[into], merit[into] = paths[better], found[better]
-        going = merit[left] > _TOLERANCE
+        going = found > _TOLERANCE
+        if i > 3:  # a path that is free and hardly improves stays
+            going &= (found >= _TOUCHING) | (found < 0.7 * before[left])
+        before[left] = found
         if i == _STEPS or not going.any():
             break
         if not going.all():
             left, paths, rows = left[going], paths[going], rows[going]
             curves = _Curves(*(x[going] for x in curves))
-        paths = task.step(paths, rows, curves, _CONTACT * GROW ** max(0, i - WAIT))
+        paths = task.step(paths, rows, curves, _CONTACT * _GROWTH ** max(0, i - 2), score)
     return best, merit
 
 
