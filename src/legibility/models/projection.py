@@ -24,12 +24,12 @@ from ..scene import Scene
 _POINTS, _PARTS = 46, 8  # points of a curve, and the parts of a step between two where it is near
 _PAD, _SLACK = 0.02, 1e-3  # clearance aimed at and needed, where start and goal allow it
 _RISE = 0.3  # by which the pad grows over progress from an end
-_CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 30.0, 100.0, 1.0  # weights of squares
-_GROWTH = 1.5  # of the weight of contact from step to step
-_STEPS, _SOLVES = 12, 2
+_CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 30.0, 1000.0, 1.0  # weights of squares
+_GROWTH = 1.7  # of the weight of contact from step to step
+_STEPS = 10
 _LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
 _TOLERANCE = 1e-3  # of log(−score)
-_RETRY = 0.03  # error of log(−score) above which other ways are tried
+_RETRY = 0.1, 0.03  # errors of log(−score) above which other ways are tried, if exact less
 _LEAST_COST = 1e-12
 _TOUCHING = 1e6  # merit of a path in contact
 _SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
@@ -65,7 +65,8 @@ def project(
     task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
     rows = np.arange(len(paths))
     best, merit = _descend(task, task.drawn, rows)
-    rows = np.flatnonzero(merit > _RETRY)
+    rows = np.flatnonzero(merit > _RETRY[wanted is not None])
+    rows = rows[task.touching[rows]]
     if len(rows):
         ways = _ways_around(room, task.drawn[rows])
         more, merits = _descend(task, ways.reshape(-1, *paths.shape[1:]), np.tile(rows, len(ways)))
@@ -175,6 +176,11 @@ class _Room:
             distance[near], normal[near] = self.solids.nearest(points[near])
         return distance, normal
 
+    def touching(self, points: Array) -> np.ndarray:
+        """Whether any of the points of each curve `(B, T, D)` is in contact, `(B,)` bool."""
+        solid = self.nearest(points.reshape(-1, points.shape[-1]), 0.0)[0]
+        return np.minimum(solid.reshape(points.shape[:-1]), self.to_walls(points)).min(-1) < 0
+
     def clearance(self, points: Array) -> Array:
         """Distance `(...)` of points `(..., D)` from everything."""
         walls = self.to_walls(points)
@@ -222,6 +228,7 @@ class _Task:
     Attributes:
         drawn: `(B, K + 2, D)`, as they are.
         cost: `(B,)`, −score wanted.
+        touching: `(B,)` bool, whether they are in contact.
         longest: `(B,)`, length allowed.
         pull: `(B, K, D)`, what draws the waypoints to the shape drawn.
     """
@@ -236,7 +243,9 @@ class _Task:
     ) -> None:
         self.room, self.drawn, self.alpha = room, drawn, observer.alpha
         matrices = _matrices(drawn.shape[-1])
-        self.cost, self.longest = self._cost(matrices.curve @ drawn)[:2]
+        points = matrices.curve @ drawn
+        self.cost, self.longest = self._cost(points)
+        self.touching = room.touching(points)
         if wanted is not None:
             self.cost = np.maximum(-wanted, _LEAST_COST)
         longest = 1 / _TINY
@@ -317,7 +326,7 @@ class _Task:
         room = self.room
         clear = np.minimum(curves.gap + room.pad, room.to_walls(curves.points))
         worst = (clear - room.slack).min(-1)
-        merit = np.abs(curves.error) + np.maximum(curves.excess, 0)
+        merit = np.abs(curves.error) + 10 * np.maximum(curves.excess, 0)
         check = (worst >= 0) & (merit < below)
         if check.any():
             # Between two points, where they are so near to something that the curve could touch it.
@@ -334,10 +343,7 @@ class _Task:
     def step(
         self, paths: Array, rows: np.ndarray, curves: _Curves, contact: float, score: float
     ) -> Array:
-        """The paths after a step of Gauss–Newton.
-
-        Contact counts where there is any after the step, so the system is solved more than once.
-        """
+        """The paths after a step of Gauss–Newton, given the weights of contact and score."""
         room, dim = self.room, paths.shape[-1]
         size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
         points, gap, normal, error, slope, excess, stretch = curves
@@ -351,24 +357,17 @@ class _Task:
             weight = _LENGTH * (excess > 0)[:, None]
             system += weight[..., None] * stretch[:, :, None] * stretch[:, None, :]
             force -= weight * excess[:, None] * stretch
-        ahead, moved = gap, points
-        for _ in range(_SOLVES):
-            # A matrix and a vector at each point, of the solids and of the walls.
-            active = normal * (ahead < 0)[..., None]
-            metric = active[..., :, None] * active[..., None, :]
-            inside = np.clip(moved, room.low, room.high)
-            beyond = inside != moved
-            metric[..., range(dim), range(dim)] += beyond
-            push = np.where(beyond, inside - points, 0) - active * gap[..., None]
-            dense = metric.reshape(len(paths), _POINTS, -1).swapaxes(1, 2) @ matrices.outer
-            dense = dense.reshape(-1, dim, dim, NUM_WAYPOINTS, NUM_WAYPOINTS)
-            dense = dense.transpose(0, 3, 1, 4, 2).reshape(-1, size, size)
-            right = force + contact * (matrices.spline.T @ push).reshape(-1, size)
-            change = np.linalg.solve(system + contact * dense, right[..., None])
-            change = change.reshape(-1, NUM_WAYPOINTS, dim)
-            shift = matrices.spline @ change
-            moved = points + shift
-            ahead = gap + np.einsum("btd,btd->bt", normal, shift)
+        # A matrix and a vector at each point, of the solids and of the walls.
+        active = normal * (gap < 0)[..., None]
+        metric = active[..., :, None] * active[..., None, :]
+        push = np.clip(points, room.low, room.high) - points
+        metric[..., range(dim), range(dim)] += push != 0
+        push -= active * gap[..., None]
+        dense = metric.reshape(len(paths), _POINTS, -1).swapaxes(1, 2) @ matrices.outer
+        dense = dense.reshape(-1, dim, dim, NUM_WAYPOINTS, NUM_WAYPOINTS)
+        system += contact * dense.transpose(0, 3, 1, 4, 2).reshape(-1, size, size)
+        force += contact * (matrices.spline.T @ push).reshape(-1, size)
+        change = np.linalg.solve(system, force[..., None]).reshape(-1, NUM_WAYPOINTS, dim)
         most = np.abs(change).max((1, 2), keepdims=True)
         paths = paths.copy()
         paths[:, 1:-1] += change * np.minimum(1, _LONGEST_STEP / np.maximum(most, _TINY))
