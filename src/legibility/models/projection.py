@@ -24,11 +24,12 @@ from ..scene import Scene
 _POINTS, _PARTS = 46, 8  # points of a curve, and the parts of a step between two where it is near
 _PAD, _SLACK = 0.02, 1e-3  # clearance aimed at and needed, where start and goal allow it
 _RISE = 0.3  # by which the pad grows over progress from an end
-_CONTACT, _SCORE, _LENGTH, _JERK = 25.0, 100.0, 100.0, 1.0  # weights of squares
-_STEPS, _SOLVES = 12, 2
+_CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 30.0, 1000.0, 1.0  # weights of squares
+_GROWTH = 1.7  # of the weight of contact from step to step
+_STEPS = 10
 _LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
 _TOLERANCE = 1e-3  # of log(−score)
-_RETRY = 0.01  # error of log(−score) above which other ways are tried
+_RETRY = 0.1, 0.03  # errors of log(−score) above which other ways are tried, if exact less
 _LEAST_COST = 1e-12
 _TOUCHING = 1e6  # merit of a path in contact
 _SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
@@ -64,7 +65,8 @@ def project(
     task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
     rows = np.arange(len(paths))
     best, merit = _descend(task, task.drawn, rows)
-    rows = np.flatnonzero(merit > _RETRY)
+    rows = np.flatnonzero(merit > _RETRY[wanted is not None])
+    rows = rows[task.touching[rows]]
     if len(rows):
         ways = _ways_around(room, task.drawn[rows])
         more, merits = _descend(task, ways.reshape(-1, *paths.shape[1:]), np.tile(rows, len(ways)))
@@ -74,6 +76,11 @@ def project(
         into = rows[better]
         best[into] = more.reshape(ways.shape)[chosen, each][better]
         merit[into] = merits[chosen, each][better]
+    rows = np.flatnonzero(merit >= _TOUCHING)
+    if len(rows):
+        more, merits = _descend(task, best[rows], rows, score=0.0)
+        better = merits < merit[rows]
+        best[rows[better]], merit[rows[better]] = more[better], merits[better]
     moved = (best != task.drawn).any((-2, -1))
     result = paths.copy()
     result[moved, 1:-1] = best[moved, 1:-1] * room.scale + scene.start
@@ -87,6 +94,7 @@ class _Room:
     Attributes:
         scale: length of the straight line [m].
         solids: all that must not be touched.
+        bounds: centres `(O, D)` and radii `(O,)` of balls around them.
         field: the observer's.
         target: index of the intended goal.
         workspace: `(2, D)`.
@@ -98,6 +106,7 @@ class _Room:
 
     scale: float
     solids: Solids
+    bounds: tuple[Array, Array]
     field: Field
     target: int
     workspace: Array
@@ -143,7 +152,7 @@ class _Room:
         line = progress[:, None] * ends[1]
         straight = bool((solids.distance(line) >= slack).all())
         return cls(
-            scale, solids, field, target, workspace,
+            scale, solids, _balls_around(solids), field, target, workspace,
             low + below, high - above, around, slack, straight,
         )  # fmt: skip
 
@@ -152,12 +161,43 @@ class _Room:
         low, high = self.workspace
         return np.minimum(points - low, high - points).min(-1)
 
+    def nearest(self, points: Array, reach: float) -> tuple[Array, Array]:
+        """Distance `(N,)` of `points (N, D)` from solids, and its gradient `(N, D)`.
+
+        Beyond `reach` a smaller distance, and no gradient.
+        """
+        centers, radii = self.bounds
+        squares = np.einsum("nd,nd->n", points, points)
+        apart = squares - 2 * (centers @ points.T) + (centers * centers).sum(-1)[:, None]
+        distance = (np.sqrt(np.maximum(apart, 0)) - radii[:, None]).min(0)
+        normal = np.zeros_like(points)
+        near = np.flatnonzero(distance < reach)
+        if len(near):
+            distance[near], normal[near] = self.solids.nearest(points[near])
+        return distance, normal
+
+    def touching(self, points: Array) -> np.ndarray:
+        """Whether any of the points of each curve `(B, T, D)` is in contact, `(B,)` bool."""
+        solid = self.nearest(points.reshape(-1, points.shape[-1]), 0.0)[0]
+        return np.minimum(solid.reshape(points.shape[:-1]), self.to_walls(points)).min(-1) < 0
+
     def clearance(self, points: Array) -> Array:
         """Distance `(...)` of points `(..., D)` from everything."""
         walls = self.to_walls(points)
         return np.minimum(
             walls, self.solids.distance(points.reshape(-1, points.shape[-1])).reshape(walls.shape)
         )
+
+
+def _balls_around(solids: Solids) -> tuple[Array, Array]:
+    """Centres `(O, D)` and radii `(O,)` of balls that hold each solid."""
+    radii = np.sqrt((solids.halves**2).sum(-1)) + solids.radii
+    if not solids.vertices.shape[-3]:
+        return solids.centers, radii
+    middles = solids.vertices.mean(-2)
+    around = np.linalg.norm(solids.vertices - middles[:, None], axis=-1).max(-1)
+    around += solids.polygon_radii
+    return np.concatenate([solids.centers, middles]), np.concatenate([radii, around])
 
 
 class _Curves(NamedTuple):
@@ -188,6 +228,7 @@ class _Task:
     Attributes:
         drawn: `(B, K + 2, D)`, as they are.
         cost: `(B,)`, −score wanted.
+        touching: `(B,)` bool, whether they are in contact.
         longest: `(B,)`, length allowed.
         pull: `(B, K, D)`, what draws the waypoints to the shape drawn.
     """
@@ -202,7 +243,9 @@ class _Task:
     ) -> None:
         self.room, self.drawn, self.alpha = room, drawn, observer.alpha
         matrices = _matrices(drawn.shape[-1])
-        self.cost, self.longest = self._cost(matrices.curve @ drawn)[:2]
+        points = matrices.curve @ drawn
+        self.cost, self.longest = self._cost(points)
+        self.touching = room.touching(points)
         if wanted is not None:
             self.cost = np.maximum(-wanted, _LEAST_COST)
         longest = 1 / _TINY
@@ -218,8 +261,10 @@ class _Task:
         room, size = self.room, NUM_WAYPOINTS * paths.shape[-1]
         matrices = _matrices(paths.shape[-1])
         points = matrices.curve @ paths
-        gap, normal = room.solids.nearest(points.reshape(-1, points.shape[-1]))
         cost, length, slope, tangents = self._cost(points, gradient=True)
+        # Near enough for contact between two points, or for the pad.
+        reach = max(_PAD, 2 * length.max() / _POINTS)
+        gap, normal = room.nearest(points.reshape(-1, points.shape[-1]), reach)
         excess = np.log(length / self.longest[rows])
         stretch = np.zeros((len(paths), size))
         if (excess > 0).any():
@@ -281,7 +326,7 @@ class _Task:
         room = self.room
         clear = np.minimum(curves.gap + room.pad, room.to_walls(curves.points))
         worst = (clear - room.slack).min(-1)
-        merit = np.abs(curves.error) + np.maximum(curves.excess, 0)
+        merit = np.abs(curves.error) + 10 * np.maximum(curves.excess, 0)
         check = (worst >= 0) & (merit < below)
         if check.any():
             # Between two points, where they are so near to something that the curve could touch it.
@@ -295,40 +340,34 @@ class _Task:
                 np.minimum.at(worst, row, room.clearance(between).min(-1) - slack)
         return np.where(worst < 0, _TOUCHING - worst, merit)
 
-    def step(self, paths: Array, rows: np.ndarray, curves: _Curves) -> Array:
-        """The paths after a step of Gauss–Newton.
-
-        Contact counts where there is any after the step, so the system is solved more than once.
-        """
+    def step(
+        self, paths: Array, rows: np.ndarray, curves: _Curves, contact: float, score: float
+    ) -> Array:
+        """The paths after a step of Gauss–Newton, given the weights of contact and score."""
         room, dim = self.room, paths.shape[-1]
         size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
         points, gap, normal, error, slope, excess, stretch = curves
         error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
-        system = matrices.stiffness + _SCORE * slope[:, :, None] * slope[:, None, :]
+        # The score yields to contact.
+        score = np.where((gap + room.pad).min(-1) < 0, score * _CONTACT / contact, score)
+        system = matrices.stiffness + (score[:, None] * slope)[:, :, None] * slope[:, None, :]
         force = (self.pull[rows] - matrices.smooth @ paths).reshape(-1, size)
-        force -= (_SCORE * error)[:, None] * slope
+        force -= (score * error)[:, None] * slope
         if (excess > 0).any():
             weight = _LENGTH * (excess > 0)[:, None]
             system += weight[..., None] * stretch[:, :, None] * stretch[:, None, :]
             force -= weight * excess[:, None] * stretch
-        ahead, moved = gap, points
-        for _ in range(_SOLVES):
-            # A matrix and a vector at each point, of the solids and of the walls.
-            active = normal * (ahead < 0)[..., None]
-            metric = active[..., :, None] * active[..., None, :]
-            inside = np.clip(moved, room.low, room.high)
-            beyond = inside != moved
-            metric[..., range(dim), range(dim)] += beyond
-            push = np.where(beyond, inside - points, 0) - active * gap[..., None]
-            dense = metric.reshape(len(paths), _POINTS, -1).swapaxes(1, 2) @ matrices.outer
-            dense = dense.reshape(-1, dim, dim, NUM_WAYPOINTS, NUM_WAYPOINTS)
-            dense = dense.transpose(0, 3, 1, 4, 2).reshape(-1, size, size)
-            right = force + _CONTACT * (matrices.spline.T @ push).reshape(-1, size)
-            change = np.linalg.solve(system + _CONTACT * dense, right[..., None])
-            change = change.reshape(-1, NUM_WAYPOINTS, dim)
-            shift = matrices.spline @ change
-            moved = points + shift
-            ahead = gap + np.einsum("btd,btd->bt", normal, shift)
+        # A matrix and a vector at each point, of the solids and of the walls.
+        active = normal * (gap < 0)[..., None]
+        metric = active[..., :, None] * active[..., None, :]
+        push = np.clip(points, room.low, room.high) - points
+        metric[..., range(dim), range(dim)] += push != 0
+        push -= active * gap[..., None]
+        dense = metric.reshape(len(paths), _POINTS, -1).swapaxes(1, 2) @ matrices.outer
+        dense = dense.reshape(-1, dim, dim, NUM_WAYPOINTS, NUM_WAYPOINTS)
+        system += contact * dense.transpose(0, 3, 1, 4, 2).reshape(-1, size, size)
+        force += contact * (matrices.spline.T @ push).reshape(-1, size)
+        change = np.linalg.solve(system, force[..., None]).reshape(-1, NUM_WAYPOINTS, dim)
         most = np.abs(change).max((1, 2), keepdims=True)
         paths = paths.copy()
         paths[:, 1:-1] += change * np.minimum(1, _LONGEST_STEP / np.maximum(most, _TINY))
@@ -336,23 +375,28 @@ class _Task:
 
 
 @np.errstate(under="ignore")
-def _descend(task: _Task, paths: Array, rows: np.ndarray) -> tuple[Array, Array]:
+def _descend(
+    task: _Task, paths: Array, rows: np.ndarray, score: float = _SCORE
+) -> tuple[Array, Array]:
     """The best paths on the way from `paths (B, K + 2, D)`, and their merits `(B,)`."""
     best, merit = paths.copy(), np.full(len(paths), np.inf)
-    left = np.arange(len(paths))
+    left, before = np.arange(len(paths)), np.full(len(paths), np.inf)
     for i in range(_STEPS + 1):
         curves = task.curves(paths, rows)
         found = task.merit(paths, curves, merit[left])
         better = found < merit[left]
         into = left[better]
         best[into], merit[into] = paths[better], found[better]
-        going = merit[left] > _TOLERANCE
+        going = found > _TOLERANCE
+        if i > 3:  # a path that is free and hardly improves stays
+            going &= (found >= _TOUCHING) | (found < 0.7 * before[left])
+        before[left] = found
         if i == _STEPS or not going.any():
             break
         if not going.all():
             left, paths, rows = left[going], paths[going], rows[going]
             curves = _Curves(*(x[going] for x in curves))
-        paths = task.step(paths, rows, curves)
+        paths = task.step(paths, rows, curves, _CONTACT * _GROWTH ** max(0, i - 2), score)
     return best, merit
 
 
