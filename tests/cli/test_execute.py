@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from stubs import StubModulator
 
 import legibility as lg
 from legibility.cli import main
 from legibility.envs.block_reach_2d import BlockReach2DVector
+from legibility.modulator import Modulator
 
 LINE = "execute scene.yaml --target 1 --legibility -1:1:3 --seed 4 --push 0.1 --noise 0.001"
 
@@ -43,13 +45,14 @@ def test_report(executed):
     assert content["seed"] == 4
     assert content["config"] == {
         "env": "BlockReach2D", "target": 1, "legibility": [-1, 0, 1], "replan": True,
-        "candidates": 1, "noise": 0.001, "push": 0.1, "shift": 0,
+        "observer": lg.Observer().to_dict(), "exact": False, "refine": True, "num_candidates": 1,
+        "noise": 0.001, "push": 0.1, "shift": 0,
     }  # fmt: skip
     result = content["result"]
     scene = lg.Scene.from_dict(result["scene"])
     assert scene == lg.Scene.load("scene.yaml")
     assert result["target"] == 1
-    assert lg.Observer(**result["observer"]) == lg.Observer.paper(2)
+    assert lg.Observer(**result["observer"]) == lg.Observer()
     rows = result["rollouts"]
     assert [row["legibility"] for row in rows] == [-1, 0, 1]
     for row in rows:
@@ -72,7 +75,7 @@ def test_is_what_the_package_does(executed):
     env.reset(seed=[4, 4, 4], options=options)
     assert len(set(env.hidden["gain"])) == 1  # ℓ alone makes the difference
     modulator = lg.Modulator.from_pretrained("block-reach-2d")
-    rollouts = modulator.execute_many(env, legibility=[-1, 0, 1], seed=4)
+    rollouts = modulator.execute_many(env, legibility=[-1, 0, 1], seed=4, observer=lg.Observer())
     for row, rollout in zip(content["result"]["rollouts"], rollouts, strict=True):
         np.testing.assert_allclose(row["states"], rollout.states, atol=1e-9)
         assert row["achieved"] == pytest.approx(rollout.achieved, abs=1e-6)
@@ -138,3 +141,33 @@ def test_full_disk_leaves_nothing(here):
     assert len(lines) == 1
     assert lines[0].startswith("legibility: error: cannot write f.gif")
     assert sorted(os.listdir()) == before
+
+
+@pytest.mark.parametrize("observer", ["dragan", "paper"])
+def test_beliefs_of_dragans_observer_and_of_the_dials(observer, here, cli, capsys, monkeypatch):
+    stub = StubModulator()
+    monkeypatch.setattr(Modulator, "from_pretrained", lambda name: stub)
+    with open("scene.yaml", "a") as file:
+        file.write("obstacles: [{ball: {center: [0.4, 0.3], radius: 0.1}}]\n")
+    flags = f"--observer {observer} --exact --no-refine --json e.json --figure e.png"
+    assert cli(f"execute scene.yaml {flags}") == 0
+    assert (stub.options["exact"], stub.options["refine"]) == (True, False)
+    result = json.loads(Path("e.json").read_text())["result"]
+    found = lg.Observer.from_dict(result["observer"])
+    assert found == {"dragan": lg.Observer(), "paper": lg.Observer.paper(2)}[observer]
+    assert not result["blocked"]
+    scene = lg.Scene.from_dict(result["scene"])
+    for row in result["rollouts"]:
+        states = np.array(row["states"])
+        for name, reader in (("dragan_posterior", lg.Observer()), ("posterior", found)):
+            np.testing.assert_allclose(row[name], reader.field(scene).posterior(states), atol=1e-9)
+        assert row["clearance"] == pytest.approx(scene.clearance_at(states, 0).min())
+        assert isinstance(row["feasible"], bool)
+        assert (row["dragan_time_to_confidence"] == row["time_to_confidence"]) or found != (
+            lg.Observer()
+        )
+    text = capsys.readouterr().out
+    assert "Dragan’s observer" in text
+    assert ("the dial’s observer" in text) == (observer == "paper")
+    assert "clearance [mm]" in text
+    assert "nats below ℓ = 0" in text

@@ -1,11 +1,13 @@
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tyro
 
-from legibility.cli.options import flags, levels, made, span
-from legibility.errors import InvalidInputError
+import legibility as lg
+from legibility.cli.options import flags, levels, made, read_scene, span
+from legibility.errors import InvalidInputError, InvalidSceneError
 
 
 @pytest.mark.parametrize(
@@ -94,3 +96,87 @@ def test_mistakes_in_flags_are_told_in_our_words(arguments, message):
     parsed = tyro.cli(flags(Settings), args=arguments.split())
     with pytest.raises(InvalidInputError, match=message):
         made(Settings, parsed)
+
+
+PLANE = "start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\n"
+SOLID = "start: [-0.2, -0.2, 0.3]\ngoals: [[0.0, 0.1, 0.02], [0.0, -0.1, 0.02]]\n"
+WIDE = lg.Observer(kind="gaussian", sigma=0.3)
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    def write(text, name="scene.yaml"):
+        (tmp_path / name).write_text(text)
+        return tmp_path / name
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "expected"),
+    [
+        (PLANE, None, lg.Observer()),
+        (PLANE, "dragan", lg.Observer()),
+        (PLANE, "paper", lg.Observer.paper(2)),
+        (SOLID, "paper", lg.Observer.paper(3)),
+        (PLANE + "observer: paper\n", None, lg.Observer.paper(2)),
+        (PLANE + "observer: {kind: gaussian, sigma: 0.3}\n", None, WIDE),
+        (PLANE + "observer: {kind: gaussian, sigma: 0.3}\n", "dragan", lg.Observer()),
+        (PLANE + "observer: paper\n", "wide", WIDE),
+        (PLANE + "observer: wide\n", None, WIDE),
+    ],
+)  # fmt: skip
+def test_observer_of_a_scene(text, given, expected, scene_file, tmp_path):
+    wide = str(tmp_path / "wide.yaml")
+    WIDE.save(wide)
+    file = scene_file(text.replace("observer: wide", f"observer: {wide}"))
+    scene, observer = read_scene(file, wide if given == "wide" else given)
+    assert observer == expected
+    assert scene == lg.Scene.from_dict(scene.to_dict())
+
+
+def test_scene_of_json_with_an_observer_and_obstacles(scene_file):
+    text = '{"start": [0, 0.5], "goals": [[0.8, 0.6], [1, 0.3]], "observer": {"beta": 7}, '
+    text += '"obstacles": [{"ball": {"center": [0.4, 0.2], "radius": 0.1}}]}'
+    scene, observer = read_scene(scene_file(text, "scene.json"))
+    assert observer == lg.Observer(beta=7)
+    assert len(scene.obstacles) == 1
+
+
+@pytest.mark.parametrize(
+    ("observer", "message"),
+    [
+        ("someone", "observer must be dragan, paper or a file, .yaml or .json, got 'someone'"),
+        ("7", "observer must be dragan, paper or a file"),
+        ("nowhere.yaml", "cannot read the observer file nowhere.yaml"),
+        ("{sigma: 0.3}", "a boltzmann observer has no sigma"),
+        ("{kind: gaussian, sigma: 0}", "sigma must be"),
+        ("{who: me}", "unknown: who"),
+        ("{prior: [1, 2, 3]}", "prior must be 2 numbers"),
+        ("{kind: gaussian, viewpoint: [0, 0, 1]}", "viewpoint must be 2 numbers"),
+        ("{kind: gaussian, viewpoint: [0.9, 0.45]}", "viewpoint must not lie in the middle"),
+    ],
+)
+def test_wrong_observer_of_a_scene(observer, message, scene_file):
+    file = scene_file(f"{PLANE}observer: {observer}\n")
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        read_scene(file)
+    assert str(caught.value).startswith(f"{file}: ")
+    if not observer.startswith(("{", "7")):
+        with pytest.raises(InvalidInputError, match=message):
+            read_scene(scene_file(PLANE), observer)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("scene.txt", PLANE), ("scene.yaml", "observer: paper\n"), ("s.yaml", "")]
+)
+def test_wrong_scene(name, text, scene_file):
+    with pytest.raises(InvalidSceneError):
+        read_scene(scene_file(text, name))
+
+
+@pytest.mark.parametrize("file", sorted(Path(__file__).parents[2].glob("examples/*.yaml")))
+def test_examples(file):
+    scene, observer = read_scene(file)
+    assert observer == lg.Observer()
+    assert scene.feasible(np.stack([scene.start, scene.goals[0]]), 0)

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stubs import StubModulator
 
 import legibility as lg
+from legibility.modulator import Modulator
 
 
 @pytest.fixture
@@ -28,22 +30,29 @@ def test_report(planned, weights):
     assert content["model"] == {"name": weights, "path": digest}
     assert content["seed"] == 4
     assert content["config"] == {
-        "target": 0, "legibility": [-1, 0, 1, -0.5], "num_candidates": 3, "guidance": 0.5,
-        "steps": 3, "points": 30,
+        "target": 0, "legibility": [-1, 0, 1, -0.5], "observer": lg.Observer().to_dict(),
+        "exact": False, "refine": True, "num_candidates": 3, "guidance": 0.5, "steps": 3,
+        "points": 30,
     }  # fmt: skip
     paths = content["result"]["paths"]
     assert [path["legibility"] for path in paths] == [-1, 0, 1, -0.5]
-    assert "length ratio" in text
+    assert "detour" in text
+    assert "Dragan’s observer" in text
 
     scene = lg.Scene.load("scene.yaml")
     plan = lg.Modulator.from_pretrained(weights).plan(
-        scene, 0, [-1, 0, 1, -0.5], seed=4, num_candidates=3, guidance=0.5, steps=3
-    )
+        scene, 0, [-1, 0, 1, -0.5], seed=4, observer=lg.Observer(), num_candidates=3, guidance=0.5,
+        steps=3,
+    )  # fmt: skip
     assert lg.Scene.from_dict(content["result"]["scene"]) == scene
     for key, values in {"waypoints": plan.waypoints, "trajectory": plan.trajectory(30),
-                        "achieved": plan.achieved, "score": plan.score}.items():  # fmt: skip
+                        "achieved": plan.achieved, "score": plan.score, "clearance": plan.clearance,
+                        "feasible": plan.feasible}.items():  # fmt: skip
         np.testing.assert_allclose([path[key] for path in paths], values, atol=1e-6)
-    assert all(path["length_ratio"] >= 1 - 1e-9 for path in paths)
+    assert all(path["detour"] >= 1 - 1e-9 for path in paths)
+    archive = lg.build_archive(scene, 0)
+    assert content["result"]["range"] == pytest.approx(archive.range)
+    assert content["result"]["degenerate"] == archive.degenerate
 
 
 def test_csv_is_what_score_reads(planned, cli):
@@ -87,3 +96,60 @@ def test_full_disk_leaves_nothing(here, weights):
     assert found.stderr.startswith("legibility: error: cannot write p.png")
     assert found.stderr.count("\n") == 1
     assert sorted(os.listdir()) == before
+
+
+@pytest.fixture
+def stub(monkeypatch):
+    """Paths of the scene's archive."""
+    modulator = StubModulator()
+    monkeypatch.setattr(Modulator, "from_pretrained", lambda name: modulator)
+    return modulator
+
+
+def test_observer_and_modes_reach_the_planner(here, stub, cli, capsys):
+    flags = "--observer paper --exact --no-refine --json p.json --figure p.png"
+    assert cli(f"plan scene.yaml {flags}") == 0
+    assert stub.options["observer"] == lg.Observer.paper(2)
+    assert (stub.options["exact"], stub.options["refine"]) == (True, False)
+    content = json.loads(Path("p.json").read_text())
+    assert content["config"]["observer"] == content["result"]["observer"]
+    assert lg.Observer.from_dict(content["result"]["observer"]) == lg.Observer.paper(2)
+    assert content["result"]["degenerate"]
+    text = " ".join(capsys.readouterr().out.split())
+    assert "gaussian, uniform, σ = 0.15 m" in text
+    assert "less than 0.05 nats" in text
+    assert "clearance" not in text
+
+
+def test_obstacles(here, stub, cli, capsys):
+    with open("scene.yaml", "a") as file:
+        file.write(
+            "obstacles: [{ball: {center: [0.4, 0.5], radius: 0.1}}]\nclearance: 0.05\n"
+            "observer: {beta: 12}\n"
+        )
+    assert cli("plan scene.yaml --legibility -1:1:5 --json p.json") == 0
+    result = json.loads(Path("p.json").read_text())["result"]
+    assert result["blocked"]
+    assert result["observer"]["beta"] == 12
+    scene = lg.Scene.from_dict(result["scene"])
+    for row in result["paths"]:
+        clearance = scene.clearance_at(row["trajectory"], 0).min()
+        assert row["clearance"] == pytest.approx(clearance, abs=2e-3)
+        assert isinstance(row["feasible"], bool)
+        assert row["detour"] >= 0.95
+    text = " ".join(capsys.readouterr().out.split())
+    assert "clearance [m]" in text
+    assert "the straight line is blocked: ℓ = 0 is the shortest feasible curve" in text
+    infeasible = sum(not row["feasible"] for row in result["paths"])
+    assert ("not feasible" in text) == (infeasible > 0)
+
+
+def test_paths_that_are_not_feasible_are_told(here, stub, cli, capsys, monkeypatch):
+    def touching(scene, target, levels, observer, path=stub.path):
+        found = path(scene, target, levels, observer)
+        found.__dict__["feasible"] = np.arange(len(levels)) > 0
+        return found
+
+    monkeypatch.setattr(stub, "path", touching)
+    assert cli("plan scene.yaml --json p.json") == 0
+    assert "1 of 3 paths are not feasible" in capsys.readouterr().out

@@ -20,10 +20,12 @@ def test_example(here, capsys):
     content = json.loads(Path("s.json").read_text())
     assert content["legibility"] == lg.__version__
     assert content["command"] == f"legibility score {files[0]} {files[1]} --json s.json"
-    observer = {"sigma": 0.15, "alpha": 3.0, "label": "anchored"}
-    assert content["config"] == {"target": 0, "observer": observer, "beta": 10.0}
+    assert content["config"] == {"target": 0, "observer": lg.Observer().to_dict()}
+    assert content["result"]["range"] == pytest.approx(lg.build_archive(
+        lg.Scene.load(files[1]), 0).range)  # fmt: skip
+    assert not content["result"]["blocked"]
     rows = {row["name"]: row for row in content["result"]["trajectories"]}
-    assert rows["legible"]["achieved_label"] > 0.99
+    assert rows["legible"]["achieved_label"] > 0.9
     assert abs(rows["straight"]["achieved_label"]) < 0.01
     assert rows["ambiguous"]["achieved_label"] < -0.99
     assert rows["straight"]["predictability"] == pytest.approx(1, abs=1e-5)
@@ -32,23 +34,41 @@ def test_example(here, capsys):
         assert name in output.out
 
 
-def test_options_change_the_observer(here, cli):
+def test_another_observer(here, cli, capsys):
     Path("t.csv").write_text("x,y\n0,0.5\n0.4,0.4\n1,0.3\n")
-    flags = "--target 1 --sigma 0.3 --alpha 0 --beta 2 --label rank"
-    assert cli(f"score t.csv scene.yaml {flags} --json s.json") == 0
-    row = json.loads(Path("s.json").read_text())["result"]["trajectories"][0]
+    Path("o.yaml").write_text("{kind: gaussian, sigma: 0.3, alpha: 0, label: rank}\n")
+    assert cli("score t.csv scene.yaml --target 1 --observer o.yaml --json s.json") == 0
+    observer = lg.Observer(kind="gaussian", sigma=0.3, alpha=0, label="rank")
+    content = json.loads(Path("s.json").read_text())
+    assert content["config"]["observer"] == observer.to_dict()
+    row = content["result"]["trajectories"][0]
     scene = lg.Scene.load("scene.yaml")
-    field = lg.InformationPotentialField(scene.goals, sigma=0.3)
     points = np.array([[0, 0.5], [0.4, 0.4], [1, 0.3]])
-    for name, value in lg.metrics.evaluate_trajectory(points, field, 1, 0, 2).items():
+    for name, value in lg.metrics.evaluate_trajectory(points, observer.field(scene), 1, 0).items():
         assert row[name] == (pytest.approx(float(value)) if np.isfinite(value) else None)
-    archive = lg.build_archive(scene, 1, observer=lg.Observer(0.3, alpha=0, label="rank"))
+    archive = lg.build_archive(scene, 1, observer=observer)
     assert row["achieved_label"] == pytest.approx(float(archive.label_of(row["legibility_score"])))
+    text = " ".join(capsys.readouterr().out.split())
+    assert "field_…: gaussian, neutral, σ = 0.3 m; dragan_…: Dragan’s observer" in text
+    assert "nats below ℓ = 0" in text
+
+
+def test_obstacles(here, capsys):
+    Path("t.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    with open("scene.yaml", "a") as file:
+        file.write("obstacles: [{ball: {center: [0.4, 0.5], radius: 0.1}}]\n")
+    assert main(["score", "t.csv", "scene.yaml", "--json", "s.json"]) == 0
+    assert "the straight line is blocked" in capsys.readouterr().out
+    result = json.loads(Path("s.json").read_text())["result"]
+    assert result["blocked"]
+    distance = 0.05 * np.cos(np.arctan2(0.1, 0.8))
+    assert result["trajectories"][0]["clearance"] == pytest.approx(distance - 0.1, abs=1e-4)
 
 
 def test_a_time_never_reached_is_null(here, capsys):
     Path("t.csv").write_text("x,y\n0.8,0.6\n1,0.3\n")
-    assert main(["score", "t.csv", "scene.yaml", "--json", "s.json"]) == 0
+    line = "score t.csv scene.yaml --observer paper --json s.json"
+    assert main(line.split()) == 0
     assert "never" in capsys.readouterr().out
     row = json.loads(Path("s.json").read_text())["result"]["trajectories"][0]
     assert row["field_time_to_confidence"] is None
@@ -74,7 +94,7 @@ def test_solid_scene(here, capsys):
     Path("t.csv").write_text("x,y,z\n-0.2,-0.2,0.3\n0,0.1,0.02\n")
     assert main(["score", "t.csv", "solid.yaml", "--json", "s.json"]) == 0
     content = json.loads(Path("s.json").read_text())
-    assert content["config"]["observer"]["sigma"] == 0.08
+    assert content["config"]["observer"] == lg.Observer().to_dict()
     assert abs(content["result"]["trajectories"][0]["achieved_label"]) < 1e-6
 
 

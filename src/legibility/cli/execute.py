@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,7 +39,8 @@ def execute(
         push: length of a push on the way [m].
         shift: distance that the target moves on the way [m].
         replan: replan after a push or a shift has taken the robot off its path.
-        figure: motions side by side and the belief under each, .png, .pdf or .svg.
+        figure: motions side by side and the belief of Dragan's observer and of --observer under
+            each, .png, .pdf or .svg.
         spectrum: all motions in one figure and their cost against ℓ, .png, .pdf or .svg.
         video: the motions side by side as a film, .gif or, with ffmpeg, .mp4.
         json: everything as JSON.
@@ -47,7 +48,7 @@ def execute(
     """
     from ..envs import vector_type
 
-    scene, asked, model = motions.read()
+    scene, observer, asked, model = motions.read()
     target, seed = motions.target, motions.seed
     if spectrum is not None and len(np.unique(asked)) < len(asked):
         raise InvalidInputError("a spectrum shows each level once, legibility names one twice")
@@ -74,9 +75,10 @@ def execute(
     # The same hidden properties and disturbance for each, so that ℓ alone makes the difference.
     robots.reset(seed=[seed] * len(asked), options={"scene": scene, "target": target, **options})
     rollouts = Modulator.from_pretrained(model).execute_many(
-        robots, legibility=asked, seed=seed, replan=replan, num_candidates=motions.candidates
+        robots, legibility=asked, seed=seed, replan=replan, **motions.options(observer)
     )
     robots.close()
+    archive = rollouts[0].path.archive
     output.write_report(
         json,
         seed=seed,
@@ -85,7 +87,8 @@ def execute(
             "target": target,
             "legibility": asked,
             "replan": replan,
-            "candidates": motions.candidates,
+            **motions.options(observer),
+            "observer": observer.to_dict(),
             **options,
         },
         model=output.model_record(model),
@@ -93,7 +96,8 @@ def execute(
             "scene": scene.to_dict(),
             "target": target,
             "observer": rollouts[0].path.observer.to_dict(),
-            "rollouts": [rollout.to_dict() for rollout in rollouts],
+            **output.dial_record(archive),
+            "rollouts": list(map(_record, rollouts)),
         },
     )
     if csv is not None:
@@ -122,17 +126,46 @@ def _draw(
             execution_film(rollouts, video, progress=progress)
 
 
+def _clearance(rollout: Rollout) -> float:
+    """Least clearance [m] on the way."""
+    scene, target = rollout.path.scene, rollout.path.target
+    return float(scene.clearance_at(rollout.states, target).min())
+
+
+def _record(rollout: Rollout) -> dict[str, Any]:
+    """A rollout for the report, with the belief of Dragan's observer beside the dial's."""
+    from ..figures.belief import readers
+
+    dragan = readers(rollout.path.scene, rollout.path.observer)[0]
+    posterior, seconds = dragan.belief(rollout)
+    return {
+        **rollout.to_dict(),
+        "feasible": rollout.path.feasible,
+        "clearance": _clearance(rollout),
+        "dragan_time_to_confidence": seconds,
+        "dragan_posterior": posterior,
+    }
+
+
 def _print(title: str, rollouts: list[Rollout]) -> None:
-    columns = ("asked ℓ", "planned ℓ", "executed ℓ", "time to\nconfidence [s]", "steps",
-               "deviation [mm]", "ended")  # fmt: skip
-    rows, number = output.table(title, *columns), output.number
+    from ..figures.belief import describe, readers
+
+    path, number = rollouts[0].path, output.number
+    shown = readers(path.scene, path.observer)
+    solid = bool(path.scene.obstacles or path.scene.goal_radius)
+    rows = output.table(
+        f"{title}, for {describe(path.scene, path.observer)}", "asked ℓ", "planned ℓ", "executed ℓ",
+        *(f"time to confidence [s],\n{reader.short}" for reader in shown), "steps",
+        "deviation [mm]", *["clearance [mm]"] * solid, "ended",
+    )  # fmt: skip
     for rollout in rollouts:
-        seconds, deviation = rollout.time_to_confidence, float(rollout.deviation.mean())
+        times = [reader.belief(rollout)[1] for reader in shown]
         rows.add_row(
             number(rollout.legibility), number(float(rollout.path.achieved)),
             number(rollout.achieved),
-            number(seconds, 2) if np.isfinite(seconds) else "never",
-            str(len(rollout.actions)), number(1e3 * deviation, 1), rollout.reason,
+            *(number(seconds, 2) if np.isfinite(seconds) else "never" for seconds in times),
+            str(len(rollout.actions)), number(1e3 * float(rollout.deviation.mean()), 1),
+            *[number(1e3 * _clearance(rollout), 1)] * solid, rollout.reason,
         )  # fmt: skip
     error = float(np.mean([abs(rollout.achieved - rollout.legibility) for rollout in rollouts]))
-    output.show(rows, f"mean |executed − asked| {number(error)}")
+    output.show(rows, f"mean |executed − asked| {number(error)}", *output.dial_lines(path.archive))

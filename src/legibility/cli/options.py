@@ -10,8 +10,10 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..checks import Array, legibility_levels, random_seed, target_index
-from ..errors import InvalidInputError
+from ..checks import Array, legibility_levels, random_seed
+from ..errors import InvalidInputError, InvalidSceneError
+from ..files import read_document
+from ..intent.observer import DEFAULT_OBSERVER, Observer
 from ..scene import Scene
 
 MODEL = "block-reach-2d"
@@ -24,6 +26,8 @@ Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
 OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")]
 OptionalText = Annotated[str | None, arg(metavar="STR", help_behavior_hint="")]
+
+_DOCUMENTS = (".yaml", ".yml", ".json")
 
 _FLAG_TYPES: dict[Any, Any] = {
     int | None: OptionalInt,
@@ -65,32 +69,97 @@ class Where:
 
 
 @dataclasses.dataclass(frozen=True)
-class Motions:
-    """Motions to plan.
+class Place:
+    """Scene, target and observer.
 
     Attributes:
-        scene: a file, .yaml or .json, with the keys start and goals, and optionally workspace.
+        scene: a file, .yaml or .json, with the keys start and goals, and optionally workspace,
+            obstacles, goal_radius, clearance and observer.
         target: index of the intended goal, from 0.
-        legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 gives nine equal steps.
-        model: name of shipped weights, or a folder; if not given, those of the scene's dimension.
-        seed: of every random draw, of paths and in execution.
-        candidates: paths drawn for each level; the one nearest to the level is kept.
+        observer: who reads the motions: dragan, paper, or a file, .yaml or .json; if not given,
+            that of the scene's file, or dragan.
     """
 
     scene: SceneFile
     target: int = 0
+    observer: OptionalText = None
+
+    def situation(self) -> tuple[Scene, Observer]:
+        """The scene and the observer, once the arguments are checked."""
+        scene, observer = read_scene(self.scene, self.observer)
+        scene.check_target(self.target)
+        return scene, observer
+
+
+@dataclasses.dataclass(frozen=True)
+class Motions(Place):
+    """Motions to plan.
+
+    Attributes:
+        legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 gives nine equal steps.
+        model: name of shipped weights, or a folder; if not given, those of the scene's dimension.
+        seed: of every random draw, of paths and in execution.
+        candidates: paths drawn for each level; the one nearest to the level is kept.
+        exact: meet each level by the scene's archive, which is built once, and not as drawn.
+        refine: move what is drawn out of contact.
+    """
+
     legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1")
     model: OptionalText = None
     seed: int = 0
     candidates: int = 1
+    exact: bool = False
+    refine: bool = True
 
-    def read(self) -> tuple[Scene, Array, str]:
-        """The scene, the levels `(B,)` and the weights, once all arguments are checked."""
+    def read(self) -> tuple[Scene, Observer, Array, str]:
+        """The scene, the observer, the levels `(B,)` and the weights, once all is checked."""
         asked = levels(self.legibility)
         random_seed("seed", self.seed)
-        scene = Scene.load(self.scene)
-        target_index(self.target, scene.num_goals)
-        return scene, asked, self.model or MODELS[scene.dim]
+        scene, observer = self.situation()
+        return scene, observer, asked, self.model or MODELS[scene.dim]
+
+    def options(self, observer: Observer) -> dict[str, Any]:
+        """Keywords of `Modulator.plan` and `execute_many`."""
+        return {
+            "observer": observer,
+            "exact": self.exact,
+            "refine": self.refine,
+            "num_candidates": self.candidates,
+        }
+
+
+def read_scene(file: Path, observer: str | None = None) -> tuple[Scene, Observer]:
+    """The scene of a file, and who watches: `observer`, that under the file's key, or Dragan's.
+
+    Raises:
+        InvalidSceneError, InvalidInputError: the file or the observer is unreadable or wrong.
+    """
+    if file.suffix.lower() not in _DOCUMENTS:
+        raise InvalidSceneError(f"a scene file ends in .yaml, .yml or .json, got {file}")
+    content = read_document(file, "scene file", InvalidSceneError)
+    found = content.pop("observer", None) if isinstance(content, dict) else None
+    try:
+        scene = Scene.from_dict(content)
+        reader = _observer(found if observer is None else observer, scene.dim)
+        reader.field(scene)  # raises where the two do not fit
+    except (InvalidSceneError, InvalidInputError) as cause:
+        raise type(cause)(f"{file}: {cause}") from cause
+    return scene, reader
+
+
+def _observer(given: Any, dim: int) -> Observer:
+    """The observer of a name, of a file's name, or of a mapping."""
+    if given is None or given == "dragan":
+        return DEFAULT_OBSERVER
+    if given == "paper":
+        return Observer.paper(dim)
+    if isinstance(given, dict):
+        return Observer.from_dict(given)
+    if not isinstance(given, str) or Path(given).suffix.lower() not in _DOCUMENTS:
+        raise InvalidInputError(
+            f"observer must be dragan, paper or a file, .yaml or .json, got {given!r}"
+        )
+    return Observer.load(given)
 
 
 def levels(entries: Sequence[str]) -> Array:

@@ -18,6 +18,7 @@ from rich.text import Text
 
 from ..errors import CheckpointError, OutputError
 from ..files import file_hash, write_json
+from ..motion.archive import SMALLEST_RANGE, Archive
 from ..report.table import Table
 from ..report.table import number as number
 from ..report.table import significant as significant
@@ -102,6 +103,22 @@ def write_report(
         "result": result,
     }
     write_json(file, _plain(content))
+
+
+def dial_record(archive: Archive) -> dict[str, Any]:
+    """What one scene's dial is worth, for a report."""
+    return {"range": archive.range, "degenerate": archive.degenerate, "blocked": archive.blocked}
+
+
+def dial_lines(archive: Archive) -> list[str]:
+    """What one scene's dial is worth, for the terminal."""
+    low, high = map(significant, archive.range)
+    lines = [f"the dial spans {low} nats below ℓ = 0 and {high} nats above"]
+    if archive.degenerate:
+        lines.append(f"a side spans less than {SMALLEST_RANGE:g} nats: its labels say little")
+    if archive.blocked:
+        lines.append("the straight line is blocked: ℓ = 0 is the shortest feasible curve")
+    return lines
 
 
 def _plain(value: Any) -> Any:

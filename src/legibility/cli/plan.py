@@ -32,18 +32,22 @@ def plan(
     output.check_figure(figure)
     output.check_file(json, "JSON file")
     output.check_file(csv, "CSV file")
-    scene, asked, model = motions.read()
+    scene, observer, asked, model = motions.read()
     target = motions.target
 
+    from ..figures.belief import describe
     from ..modulator import Modulator
 
-    options = {"num_candidates": motions.candidates, "guidance": guidance, "steps": steps}
+    options = {**motions.options(observer), "guidance": guidance, "steps": steps}
     path = Modulator.from_pretrained(model).plan(scene, target, asked, seed=motions.seed, **options)
+    archive = path.archive
     columns = {
         "legibility": asked,
         "achieved": path.achieved,
         "score": path.score,
-        "length_ratio": path.length / np.linalg.norm(scene.goals[target] - scene.start),
+        "detour": path.length / archive.shortest_length,
+        "clearance": path.clearance,
+        "feasible": path.feasible,
         "clipped": path.clipped,
         "waypoints": path.waypoints,
         "trajectory": path.trajectory(points),
@@ -54,29 +58,40 @@ def plan(
     output.write_report(
         json,
         seed=motions.seed,
-        config={"target": target, "legibility": asked, **options, "points": points},
+        config={
+            "target": target, "legibility": asked, **options, "observer": observer.to_dict(),
+            "points": points,
+        },
         model=output.model_record(model),
         result={
             "scene": scene.to_dict(),
             "target": target,
             "observer": path.observer.to_dict(),
+            **output.dial_record(archive),
             "paths": rows,
         },
-    )
+    )  # fmt: skip
     if figure is not None:
         from ..figures.paper import plan_figure
 
         plan_figure(path, figure)
 
-    title = f"{motions.scene}, goal {target}, {model}"
-    table = output.table(title, "asked ℓ", "achieved ℓ", "score", "length ratio")
+    solid = bool(scene.obstacles or scene.goal_radius)
+    table = output.table(
+        f"{motions.scene}, goal {target}, {model}, for {describe(scene, observer)}",
+        *("asked ℓ", "achieved ℓ", "score", "detour", *["clearance [m]"] * solid),
+    )
     for row in rows:
-        asked_text, achieved, ratio = (
-            output.number(row[name]) for name in ("legibility", "achieved", "length_ratio")
-        )
-        table.add_row(asked_text, achieved, output.significant(row["score"]), ratio)
+        cells = [output.number(row[name]) for name in ("legibility", "achieved", "detour")]
+        cells.insert(2, output.significant(row["score"]))
+        table.add_row(*cells, *[output.number(row["clearance"])] * solid)
     error = np.abs(path.achieved - asked).mean()
-    output.show(table, f"mean |achieved − asked| {output.number(error)}")
+    output.show(
+        table, f"mean |achieved − asked| {output.number(error)}", *output.dial_lines(archive)
+    )
     if path.clipped.any():
         problem = "paths left the workspace and were clipped to it"
         output.show(f"{path.clipped.sum()} of {len(asked)} {problem}")
+    if not path.feasible.all():
+        problem = "paths are not feasible: they come too near to something"
+        output.show(f"{(~path.feasible).sum()} of {len(asked)} {problem}")

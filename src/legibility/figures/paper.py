@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from ..envs.panda_render import Trail, arm_image
 from ..errors import InvalidInputError
 from ..evaluation.statistics import bootstrap_interval
 from ..scene import Scene
+from .belief import Reader, readers
 from .scene_axes import name_ends, scene_axes, scene_cells
 from .style import (
     COLUMN,
@@ -51,8 +53,10 @@ _SHOWN = 11
 def plan_figure(path: Path, file: str | FilePath) -> None:
     """Draw planned paths, the belief in the target along them, and the labels achieved.
 
-    The scene to scale over the target's potential, paths light to dark red with ℓ (dashed where
-    ℓ = 0); `P(g*|x_t)` over progress t; with more than one ℓ, asked against achieved.
+    The scene to scale over the target's potential for the observer that the dial is turned for,
+    paths light to dark red with ℓ (dashed where ℓ = 0); `P(g*|x_t)` over progress t as Dragan's
+    observer and, if that is another, the dial's reads it; with more than one ℓ, asked against
+    achieved.
 
     Args:
         path: one path or a batch.
@@ -75,10 +79,15 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
         "path_effects": HALO if few else None,
     }
 
-    with figure_file(file, PAGE if several else 0.62 * PAGE, 2.5) as figure:
+    shown = readers(scene, path.observer)
+    height = 2.5 if len(shown) == 1 else 2.9
+
+    with figure_file(file, PAGE if several else 0.62 * PAGE, height) as figure:
         margin = 1.5 if several else 0.8
         cells = scene_cells(figure, scene, 3 if several else 2, height=1.95, margin=margin)
-        axes = scene_axes(figure, cells[0], scene, target, curves, path.field)
+        axes = scene_axes(
+            figure, cells[0], scene, target, curves, path.field, reader=shown[-1].short
+        )
         add_lines(axes, curves, **lines)
         if num <= 11:
             for points, color in zip(waypoints[:, 1:-1], colors, strict=True):
@@ -91,17 +100,7 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
         else:
             axes.set_title(rf"$\ell$ = {levels[0]:g}, achieved {achieved.mean():.2f}")
 
-        panel = figure.add_subplot(cells[1], xlim=(0, 1), ylim=(0, 1.02), xlabel="progress $t$")
-        panel.set_title("observer’s belief $P(g^*|x_t)$")
-        chance = path.field.prior[target]
-        panel.set_xticks((0, 0.5, 1), ("0", "0.5", "1"))
-        panel.set_yticks((0, chance, 1), ("0", "chance", "1"))
-        panel.axhline(chance, color=MUTED, lw=0.7, ls=DOTTED, zorder=0)
-        panel.spines[:].set_zorder(5)
-        progress = np.linspace(0, 1, curves.shape[1])
-        beliefs = path.field.posterior(curves)[..., target]
-        add_lines(panel, [np.stack([progress, row], axis=-1) for row in beliefs], **lines)
-
+        _draw_beliefs(figure, cells[1], shown, scene, target, curves, lines)
         if several:
             panel = figure.add_subplot(cells[2], title="asked and achieved")
             compare_labels(panel)
@@ -112,6 +111,32 @@ def plan_figure(path: Path, file: str | FilePath) -> None:
             error = np.abs(achieved - levels).mean()
             panel.text(0.97, 0.04, f"mean error {error:.3f}", ha="right", transform=panel.transAxes)
         name_ends(figure, axes, scene, target, curves)
+
+
+def _draw_beliefs(
+    figure: Any, cell: Any, shown: list[Reader], scene: Scene, target: int, curves: Array,
+    lines: dict[str, Any],
+) -> None:  # fmt: skip
+    """`P(g*|x_t)` of each reader over progress, one panel above the other."""
+    progress = np.linspace(0, 1, curves.shape[1])
+    panel = None
+    for row, reader in zip(cell.subgridspec(len(shown), 1), shown, strict=True):
+        panel = figure.add_subplot(row, xlim=(0, 1), ylim=(0, 1.02), sharex=panel)
+        if len(shown) == 1:
+            panel.set_title(f"belief $P(g^*|x_t)$\nof {reader.title}")
+        else:
+            name, bracket, rest = f"belief of {reader.title}".partition(" (")
+            width = 24 if bracket else 99
+            words = [*textwrap.wrap(name, width), *textwrap.wrap(bracket[1:] + rest, 34)]
+            panel.set_title("\n".join(words), fontsize=7, pad=3)
+        panel.set_yticks((0, 1 / scene.num_goals, 1), ("0", "chance", "1"))
+        panel.axhline(1 / scene.num_goals, color=MUTED, lw=0.7, ls=DOTTED, zorder=0)
+        panel.spines[:].set_zorder(5)
+        beliefs = reader.observer.field(scene).posterior(curves)[..., target]
+        add_lines(panel, [np.stack([progress, row], axis=-1) for row in beliefs], **lines)
+        panel.set_xticks((0, 0.5, 1), ("0", "0.5", "1"))
+        panel.tick_params(labelbottom=reader is shown[-1])
+    panel.set_xlabel("progress $t$")
 
 
 def archive_figure(

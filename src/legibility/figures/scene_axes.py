@@ -10,14 +10,14 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ..checks import Array
 from ..envs.colors import GOALS, INK, MUTED
 from ..envs.panda_render import Trail, arm_image
-from ..intent.field import InformationPotentialField
+from ..intent.field import Field
 from ..scene import Scene
+from .obstacles import CUBE, covered, draw_obstacles, flat, highest
 from .style import DOTTED, HALO
 
 if TYPE_CHECKING:
@@ -30,9 +30,6 @@ _SHADES = ("#f7f7f8", "#efeff1", "#e7e7ea", "#dfdfe3", "#d7d7dc")
 _BLOCK = {2: 0.035, 3: 0.05}
 """Side of a goal's block as a share of the workspace's diagonal, by dimension."""
 _TUBE = 0.0035
-_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-_CUBE = np.array([np.insert(_SQUARE, axis, side, 1) for axis in range(3) for side in (-1, 1)])
-"""The faces of the cube [−1, 1]³, `(6, 4, 3)`."""
 
 
 def scene_cells(figure: Figure, scene: Scene, num: int, *, height: float, margin: float) -> Any:
@@ -53,19 +50,22 @@ def scene_axes(
     scene: Scene,
     target: int,
     curves: Array,
-    field: InformationPotentialField | None = None,
+    field: Field | None = None,
+    reader: str = "",
     blocks: float = 1.0,
 ) -> Any:
     """Axes with start and goals to scale, over the target's potential if a field is given.
 
     Args:
         curves: `(..., 3)` [m], which the axes must hold, in 3-D.
+        field: of the observer whose potential is shown.
+        reader: the name of that observer.
         blocks: factor of the usual size of the goals' blocks.
     """
     side = blocks * _BLOCK[scene.dim] * scene.diagonal
     colors = goal_colors(scene.num_goals, target)
     (x0, y0), (x1, y1) = scene.workspace[:, :2]
-    ground = {}
+    table, ground = 0.0, {}
     if scene.dim == 2:
         axes = figure.add_subplot(cell, xlim=(x0, x1), ylim=(y0, y1), xticks=[], yticks=[])
         axes.set_aspect("equal")
@@ -75,10 +75,10 @@ def scene_axes(
             axes.add_patch(block).set_clip_on(False)
     else:
         table = scene.workspace[0, 2] - side / 2
-        top = max(curves[..., 2].max(), scene.goals[:, 2].max()) + side / 2
+        top = max(curves[..., 2].max(), scene.goals[:, 2].max(), highest(scene)) + side / 2
         axes = _table_axes(figure, cell, np.array([[x0, y0, table], [x1, y1, top]]))
         for goal, color in zip(scene.goals, colors, strict=True):
-            cube = goal + side / 2 * _CUBE
+            cube = goal + side / 2 * CUBE
             axes.add_collection3d(Poly3DCollection(cube, facecolors=color, shade=True, zorder=6))
         drop = np.stack([scene.start, [*scene.start[:2], table]])
         axes.plot(*drop.T, color=MUTED, lw=0.7, ls=DOTTED, zorder=2)
@@ -89,8 +89,9 @@ def scene_axes(
         height = np.broadcast_to(scene.goals[target, 2:], (*x.shape, scene.dim - 2))
         phi = field.potential(np.concatenate([np.stack([x, y], -1), height], -1), target)
         axes.contourf(x, y, phi, _POTENTIALS, colors=_SHADES, zorder=0, **ground)
-        key = r"shade: potential $\phi(x|g^*)$"
+        key = r"shade: potential $\phi(x|g^*)$" + f"\nof {reader}" * bool(reader)
         axes.annotate(key, (0.5, -0.03), xycoords="axes fraction", ha="center", va="top")
+    draw_obstacles(axes, scene, target, colors, table)
     return axes
 
 
@@ -109,29 +110,22 @@ def _table_axes(figure: Figure, cell: Any, corners: Array) -> Any:
     axes.view_init(elev=28, azim=-35)
     sides = corners[1] - corners[0]
     axes.set_box_aspect(tuple(sides))
-    box = corners.mean(axis=0) + _CUBE * sides / 2
+    box = corners.mean(axis=0) + CUBE * sides / 2
     shares = axes.transLimits.transform(flat(axes, box.reshape(-1, 3)))  # of the axes' room
     axes.set_box_aspect(tuple(sides), zoom=0.5 / np.abs(shares - 0.5).max())
     axes.add_collection3d(Poly3DCollection(box[4:5], fc="none", ec=MUTED, lw=0.7, zorder=1))
     return axes
 
 
-def flat(axes: Any, points: Array) -> Array:
-    """Coordinates `(N, 2)` of `points (N, D)` [m] in the plane of the axes."""
-    if points.shape[-1] == 2:
-        return points
-    x, y, z = points.T
-    return np.stack(proj3d.proj_transform(x, y, z, axes.get_proj())[:2], axis=-1)
-
-
 def name_ends(figure: Figure, axes: Any, scene: Scene, target: int, curves: Array) -> None:
     """Write "start" and "target" beside their marks, where they hide the least."""
     figure.draw_without_rendering()  # settles the layout
     point, dim = figure.dpi / 72, scene.dim  # pixels of a point
-    corners = _BLOCK[dim] * scene.diagonal / 2 * _CUBE.reshape(-1, 3)[:, :dim]
+    corners = _BLOCK[dim] * scene.diagonal / 2 * CUBE.reshape(-1, 3)[:, :dim]
     blocks = (scene.goals[:, None] + corners).reshape(-1, dim)
     ends = np.stack([scene.start, scene.target(target)])
     drawn = np.concatenate([curves.reshape(-1, dim), ends[:1], np.tile(blocks, (25, 1))])
+    drawn = np.concatenate([drawn, covered(axes, scene)])
     taken = axes.transData.transform(flat(axes, drawn))
     angle = np.deg2rad(np.arange(0, 360, 15))
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

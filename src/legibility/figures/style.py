@@ -30,6 +30,7 @@ STYLE = {
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "hatch.linewidth": 0.35,
     "legend.frameon": False,
     "legend.handlelength": 1,
     "legend.handletextpad": 0.4,
