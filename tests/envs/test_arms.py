@@ -3,15 +3,17 @@
 import gymnasium
 import numpy as np
 import pytest
-from episodes import FakeWindow, equal, played, row, toward
+from episodes import FakeWindow, equal, played, row, safe, toward
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rooms import room
 
 from legibility import Scene
 from legibility.envs import ENVIRONMENTS, vector_type
 from legibility.envs.arm import ArmVector
 from legibility.errors import InvalidInputError, InvalidSceneError
+from legibility.obstacles import Ball, Box
 
 SCENE = Scene([-0.2, -0.1, 0.3], [[0, 0.15, 0.02], [0, -0.1, 0.06]])
 NEEDS = {"panda": ("mujoco", "mink"), "pandagym": ("panda_gym",)}
@@ -141,6 +143,67 @@ class TestEpisodes:
         scenes = [Scene(at, s.goals) for at, s in zip(inside, env.scenes, strict=True)]
         again, _ = env.reset(seed=1, options={"scene": scenes})
         assert again["position"] == pytest.approx(inside, abs=1e-4)
+
+    def test_pictures_show_obstacles(self, vector):
+        solid = Box([0.0, 0.0, 0.2], [0.1, 0.06, 0.1])
+        scene = Scene(SCENE.start, SCENE.goals, obstacles=[solid])
+        env = vector(2, render_mode="rgb_array")
+        env.reset(seed=0, options={"scene": [scene, SCENE]})
+        first, second = env.render()
+        assert (first != second).any(-1).mean() > 0.002
+
+    def test_the_whole_arm_is_checked(self, vector):
+        """The forearm touches what the gripper does not come near."""
+        solid = Ball([-0.35, 0.1, 0.45], 0.05)
+        scene = Scene(SCENE.start, SCENE.goals, obstacles=[solid])
+        line = np.linspace(SCENE.start, SCENE.goals[0], 30)
+        assert solid.signed_distance(line).min() > 0.1
+        env = vector(2)
+        env.reset(seed=0, options={"scene": [scene, SCENE]})
+        found = env.arm_contacts([line, line])
+        assert found.dtype == np.int64
+        assert 0 < found[0] < 20
+        assert found[1] == 0
+        assert env.arm_contacts([line], [1]).tolist() == [0]
+        assert env.arm_contacts([line], [0]).tolist() == [found[0]]
+        with pytest.raises(InvalidInputError, match="one for each of 2 robots, got 1"):
+            env.arm_contacts([line])
+
+    def test_arms_in_obstacles_are_counted(self, vector):
+        solids = [Ball([-0.3, 0.0, 0.45], 0.05), Ball([-0.1, -0.1, 0.3], 0.06)]
+        scenes = [Scene(SCENE.start, SCENE.goals, obstacles=[solid]) for solid in solids]
+        scenes.append(SCENE)
+        env = vector(3)
+        _, info = env.reset(seed=0, options={"scene": scenes})
+        assert info["obstacle_contacts"].tolist() == [0, 0, 0]
+        contacts = np.zeros(3)
+        for _ in range(12):
+            *_, info = env.step(np.full((3, 3), [0.015, 0.0, 0.0]))
+            contacts += info["contact"]
+        assert contacts[0] == contacts[2] == info["obstacle_contacts"][2] == 0
+        assert contacts[1] > 3
+        assert info["obstacle_contacts"][0] > 0
+        assert info["obstacle_contacts"][1] >= contacts[1]
+        alone = vector(1)
+        alone.reset(seed=2, options={"scene": scenes[2]})
+        for _ in range(12):
+            alone.step(np.full((1, 3), [0.015, 0.0, 0.0]))
+        assert np.array_equal(alone.positions[0], env.positions[2])
+
+    def test_guarded_grippers_touch_nothing(self, vector):
+        rng = np.random.default_rng(0)
+        scenes = [room(rng, 3, 3, size=0.1) for _ in range(4)]
+        env = vector(4, max_episode_steps=1000)
+        env.reset(seed=0, options={"scene": scenes})
+        for step in range(60):
+            if step % 12 == 0:
+                way = rng.normal(0, 0.02, (4, 3))
+            env.done[:] = False
+            env.step(safe(env, way))
+            deepest = min(
+                s.solids(0).distance(x[None])[0] for s, x in zip(scenes, env.positions, strict=True)
+            )
+            assert deepest > -0.003  # as far as arms overshoot
 
     @pytest.mark.parametrize(("options", "error", "message"), [
         ({"gain": 0.7}, InvalidInputError, r"unknown: \['gain'\]"),

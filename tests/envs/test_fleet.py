@@ -13,6 +13,7 @@ from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.envs.fleet import Fleet, is_vector
 from legibility.errors import InvalidInputError
 from legibility.motion.path import Path, straight_waypoints
+from legibility.obstacles import Ball, Box
 from legibility.rollout import follow
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*precision lowered by casting")
@@ -415,6 +416,48 @@ class TestState:
         with pytest.raises(InvalidInputError, match="target"):
             fleet.set_targets(np.array([1, 0, 99]))
         np.testing.assert_array_equal(fleet.targets, [0, 1, 1])
+
+    @pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
+    def test_contacts_and_safe_actions_of_each_robot(self, mode):
+        solid = Box([0.1, 0.5], [0.1, 0.2])
+        rooms = lg.Scene(SCENE.start, SCENE.goals, obstacles=[solid]), SCENE
+        env = vector(2, mode)
+        if mode == "sync":
+            for one, scene in zip(env.envs, rooms, strict=True):
+                one.reset(seed=0, options={"scene": scene})
+        else:
+            env.reset(seed=0, options={"scene": rooms})
+        fleet, right = Fleet(env, 0), np.full((2, 2), [0.05, 0.0])
+        positions = np.full((2, 2), [0.03, 0.5])
+        sent = fleet.safe(right, positions, 0 * positions)
+        assert sent[0] == pytest.approx([0.02, 0], abs=2e-6)
+        assert sent[1].tolist() == [0.05, 0]
+        contacts = []
+        for _ in range(3):
+            fleet.step(right, np.ones(2, dtype=bool))
+            contacts.append(fleet.contacts.tolist())
+        assert contacts[0] == [False, False]
+        assert contacts[-1] == [True, False]
+        assert fleet.arm_contacts(np.zeros((2, 4, 2)), [1, 0]).tolist() == [0, 0]
+
+    @pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
+    def test_whole_arms(self, mode):
+        for extra in ("mujoco", "mink"):
+            pytest.importorskip(extra, reason="the extra named panda is not installed")
+        scene = lg.Scene([-0.2, -0.1, 0.3], [[0, 0.15, 0.02], [0, -0.1, 0.06]])
+        room = lg.Scene(scene.start, scene.goals, obstacles=[Ball([-0.35, 0.1, 0.45], 0.05)])
+        env = gymnasium.make_vec(
+            "legibility/PandaBlockReach-v0", num_envs=2, vectorization_mode=mode
+        )
+        if mode == "sync":
+            for one, each in zip(env.envs, (room, scene), strict=True):
+                one.reset(seed=0, options={"scene": each})
+        else:
+            env.reset(seed=0, options={"scene": [room, scene]})
+        line = np.linspace(scene.start, scene.goals[0], 20)
+        found = Fleet(env, 0).arm_contacts(np.stack([line] * 3), [1, 0, 0])
+        assert found[0] == 0 < found[1] == found[2]
+        env.close()
 
     @pytest.mark.parametrize("env", [None, 5, "2d", BlockReach2DVector])
     def test_other_things_are_refused(self, env):

@@ -12,8 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from legibility.envs.arm import BASE, HOME, JOINT_LIMITS
-from legibility.envs.panda_model import JOINT_MARGIN, Kinematics, Simulation, physics
+from legibility.envs.panda_model import (
+    JOINT_MARGIN,
+    Kinematics,
+    Simulation,
+    physics,
+    postures,
+    touching,
+)
 from legibility.errors import MissingExtraError
+from legibility.obstacles import Ball, Box
 from legibility.scene import DEFAULT_WORKSPACE
 
 for extra in ("mujoco", "mink"):
@@ -118,6 +126,63 @@ def test_contacts_are_seen(kinematics, simulation):
         assert touched(kinematics.solve(target)) == [False, False]
     assert touched(kinematics.solve(np.array([-0.1, 0, 0.005]))) == [True, False]
     assert touched(np.array([0, 0.4, 0, -3.06, 0, 1.5, 0.8])) == [False, True]
+
+
+LINE = np.linspace([-0.2, -0.2, 0.3], [0, 0.2, 0.1], 50)
+
+
+def test_postures_follow_a_trajectory(kinematics):
+    found = postures(LINE)
+    places = np.array([kinematics.grasp_point(angles) for angles in found])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert steps.max() < 0.0101
+    assert steps.sum() == pytest.approx(np.linalg.norm(LINE[-1] - LINE[0]), rel=1e-3)
+    assert places[[0, -1]] == pytest.approx(LINE[[0, -1]], abs=2e-4)
+    assert len(postures(LINE[:1].repeat(2, axis=0))) == 2  # without length
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "touched"),
+    [
+        (Ball([-0.3, 0.0, 0.45], 0.05), True),  # the forearm alone
+        (Box([-0.3, 0.0, 0.45], [0.05, 0.1, 0.05], 0.4), True),
+        (Box([0.0, 0.2, 0.1], [0.04, 0.04, 0.04]), True),  # the fingers at the goal
+        (Ball([-0.1, 0.0, 0.03], 0.03), False),  # under the gripper's way
+        (Box([0.1, -0.2, 0.1], [0.1, 0.1, 0.1]), False),
+        (Ball([-0.6, 0.0, 1.2], 0.1), False),
+    ],
+)
+def test_an_obstacle_in_the_way_of_any_link_is_found(obstacle, touched):
+    found = touching((obstacle,), postures(LINE))
+    assert found.any() == touched
+    assert not found.all()
+    assert (
+        touching((obstacle, Ball([-0.6, 0, 1.2], 0.1)), postures(LINE)).tolist() == found.tolist()
+    )
+
+
+@settings(max_examples=10, deadline=None)
+@given(joints, points, st.floats(0.01, 0.1))
+def test_a_capsule_touches_a_ball_as_far_as_their_radii(angles, center, radius):
+    """MuJoCo's contacts agree with distances between the arm's axes and a ball's centre."""
+    import mujoco
+
+    model = physics()
+    data = mujoco.MjData(model)
+    data.qpos = angles
+    mujoco.mj_kinematics(model, data)
+    gap = np.inf
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE):
+        if model.geom_bodyid[geom] > 1:  # the base does not move
+            axis = data.geom_xmat[geom].reshape(3, 3)[:, 2] * model.geom_size[geom, 1]
+            ends = data.geom_xpos[geom] + np.linspace(-1, 1, 2001)[:, None] * axis
+            apart = np.linalg.norm(ends - center, axis=-1).min() - model.geom_size[geom, 0]
+            gap = min(gap, apart - radius)
+    touched = touching((Ball(center, radius),), angles[None])[0]
+    if gap < -1e-4:
+        assert touched
+    elif gap > 0.08:  # a finger, a box, is nearer than its hand by less
+        assert not touched
 
 
 def test_arms_do_not_feel_each_other(kinematics, simulation):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
@@ -62,3 +63,9 @@ def vector_type(name: str | None, dim: int) -> type[BlockReachVector]:
         )
     module, _, single = ENVIRONMENTS[name].partition(":")
     return getattr(importlib.import_module(f".{module}", __name__), f"{single}Vector")
+
+
+def check_render_mode(mode: Any, modes: Sequence[str]) -> None:
+    """Raise unless `mode` is None or one of `modes`."""
+    if mode not in (None, *modes):
+        raise InvalidInputError(f"render_mode must be one of {list(modes)}, got {mode!r}")

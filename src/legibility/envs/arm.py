@@ -34,15 +34,18 @@ class ArmVector(BlockReachVector):
     """Many arms, each in its own simulation. A subclass moves them: `_place` and `_drive`.
 
     The position is that of the grasp point between the fingertips; the gripper points down.
+    Obstacles stop no arm. Whether it touches them is found with MuJoCo's model of it for either
+    simulator, so they need the extra `panda`.
     """
 
     metadata = {**BlockReachVector.metadata, "render_fps": 25}  # noqa: RUF012
     dim = 3
     max_displacement = 0.02
     block_radius = BLOCK / 2 * 3**0.5
-    counted = (
+    events = (
         "table_contacts", "self_collisions", "joint_limit_violations", "velocity_limit_violations",
     )  # fmt: skip
+    counted = (*events, "obstacle_contacts")
     overshoot = 0.05
     substeps: ClassVar[int] = 20
     """Physics steps in a control step, 2 ms each."""
@@ -51,7 +54,7 @@ class ArmVector(BlockReachVector):
     def _drive(self, indices: NDArray, targets: Array) -> Array:
         """Send arms `indices (N,)` to `targets (N, D)` [m] for one control step.
 
-        Add to `counts` the physics steps with each event; return the positions reached `(N, D)`.
+        Add to `counts` the physics steps with each of `events`; return the positions `(N, D)`.
         """
 
     def _move(self, command: Array, noise: Array, alive: NDArray) -> tuple[Array, NDArray]:
@@ -62,15 +65,25 @@ class ArmVector(BlockReachVector):
         reached = self.positions.copy()
         if alive.any():
             reached[alive] = self._drive(np.flatnonzero(alive), targets[alive])
+            self._count_obstacles(np.flatnonzero(alive).tolist())
         return reached, wall
+
+    def _count_obstacles(self, indices: list[int]) -> None:
+        """Count the arms that touch an obstacle at the end of the control step."""
+        meeting = [index for index in indices if self.scenes[index].obstacles]
+        if not meeting:
+            return
+        from .panda_model import touching
+
+        angles = self.joint_angles
+        for index in meeting:
+            touched = touching(self.scenes[index].obstacles, angles[index : index + 1])
+            self.counts["obstacle_contacts"][index] += touched[0]
 
     def arm_contacts(
         self, trajectories: ArrayLike, indices: Sequence[int] | None = None
     ) -> NDArray[np.int64]:
-        """See `BlockReachVector.arm_contacts`.
-
-        Both simulators use the model and the inverse kinematics of MuJoCo, so that obstacles need
-        the extra `panda`. The base, which never moves, does not count.
+        """See `BlockReachVector.arm_contacts`; the base, which never moves, does not count.
 
         Raises:
             InvalidInputError: the trajectories or their number are wrong.
@@ -85,7 +98,7 @@ class ArmVector(BlockReachVector):
         contacts = np.zeros(len(curves), dtype=np.int64)
         for row, (index, curve) in enumerate(zip(chosen, curves, strict=True)):
             if obstacles := self.scenes[index].obstacles:
-                from .panda_model import arm_contacts
+                from .panda_model import postures, touching
 
-                contacts[row] = arm_contacts(obstacles, curve)
+                contacts[row] = touching(obstacles, postures(curve)).sum()
         return contacts

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import Array, bounded, count, finite_array, for_each, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
 from ..scene import DEFAULT_WORKSPACE, Scene
-from . import MAX_EPISODE_STEPS
+from . import MAX_EPISODE_STEPS, check_render_mode
 from .guard import Barriers
 
 _OPTIONS = ("scene", "target", "num_goals", "noise", "push", "shift")
@@ -58,9 +58,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         done: `(B,)` bool, whether the episode ended by success or by the limit on steps.
         success: `(B,)` bool, whether it ended by success.
         wall_contact: `(B,)` bool, whether a wall stopped the robot in the last step.
-        contact: `(B,)` bool, whether the last step led into an obstacle or within the scene's
-            `goal_radius` of a block that is not the target; nothing stops it there.
-        barriers: these obstacles and blocks, for `safe_actions`; None if there are none.
+        contact: `(B,)` bool, whether the last step led, unhindered, into an obstacle or within the
+            scene's `goal_radius` of a block that is not the target.
         counts: events of the episode by name, `(B,)` each.
         hidden: properties of the robots that no observation shows, by name, `(B,)` each.
     """
@@ -121,7 +120,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self.scenes: list[Scene] = []
         self.positions, self.velocities, self.commands = np.zeros((3, num_envs, self.dim))
         self.targets, self.steps = np.zeros((2, num_envs), dtype=np.int64)
-        self.barriers: Barriers | None = None
+        self._barriers: tuple[list[Any], Barriers | None] = [], None
         self.done, self.success, self._due = np.zeros((3, num_envs), dtype=bool)
         self.wall_contact, self.contact = np.zeros((2, num_envs), dtype=bool)
         self.counts = {name: np.zeros(num_envs, dtype=np.int64) for name in self.counted}
@@ -134,6 +133,14 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
     def joint_angles(self) -> Array:
         """`(B, J)` [rad], of an arm; J = 0 where there is none."""
         return np.empty((self.num_envs, 0))
+
+    @property
+    def barriers(self) -> Barriers | None:
+        """All that `contact` counts, for `safe_actions`; None if there is nothing."""
+        key = [*self.scenes, *self.targets.tolist()]
+        if key != self._barriers[0]:
+            self._barriers = key, Barriers.of(self.scenes, self.targets.tolist())
+        return self._barriers[1]
 
     @abstractmethod
     def _place(self, index: int, position: Array) -> Array:
@@ -200,8 +207,9 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             for name, value in episode.hidden.items():
                 self.hidden[name][i] = value
             self.positions[i] = self._place(i, episode.scene.start)
-        self.barriers = Barriers.of(self.scenes, self.targets)
-        self._goals = np.stack([self._padded(scene) for scene in self.scenes])
+        self._goals = np.zeros((self.num_envs, self.max_goals, self.dim))
+        for goals, scene in zip(self._goals, self.scenes, strict=True):
+            goals[: scene.num_goals] = scene.goals
         self._present = np.arange(self.max_goals) < [[s.num_goals] for s in self.scenes]
         return self._observation(), self._info(np.zeros(self.num_envs, dtype=bool))
 
@@ -283,8 +291,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self.commands = actions.copy()
         reached, self.wall_contact = self._move(command, noise, alive)
         self.velocities = reached - self.positions
-        if self.barriers is not None:
-            self.contact = alive & self.barriers.touched(self.positions, self.velocities)
+        if (barriers := self.barriers) is not None:
+            self.contact = alive & barriers.touched(self.positions, self.velocities)
         self._travelled += np.linalg.norm(self.velocities, axis=-1)
         self.positions = reached
         disturbed = self._disturbed() & alive
@@ -316,18 +324,14 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         if count("index", index, low=0) >= self.num_envs:
             raise InvalidInputError(f"index must be at most {self.num_envs - 1}, got {index}")
         self.targets[index] = self.scenes[index].check_target(target)
-        self.barriers = Barriers.of(self.scenes, self.targets)
 
     def arm_contacts(
         self, trajectories: ArrayLike, indices: Sequence[int] | None = None
     ) -> NDArray[np.int64]:
-        """Number of points, 1 cm apart, at which the whole arm touches an obstacle, `(N,)`.
+        """Number of points, 1 cm apart, at which whole arms would touch obstacles, `(N,)`.
 
-        Found by inverse kinematics alone; 0 for robots without an arm.
-
-        Args:
-            trajectories: `(N, T, D)` [m], of the end effector.
-            indices: `(N,)`, the environments whose obstacles count; all if not given.
+        The end effectors of robots `indices (N,)`, all by default, follow `trajectories (N, T, D)`
+        [m]. It is 0 for robots without an arm.
         """
         return np.zeros(len(np.asarray(trajectories)), dtype=np.int64)
 
@@ -336,8 +340,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         if not self._due.any():
             return self._due.copy()
         starts = np.stack([scene.start for scene in self.scenes])
-        straight = self._goals[np.arange(self.num_envs), self.targets] - starts
-        return self._due & (self._travelled >= np.linalg.norm(straight, axis=-1) / 2)
+        straight = np.linalg.norm(self._intended() - starts, axis=-1)
+        return self._due & (self._travelled >= straight / 2)
 
     def _move_target(self, index: int) -> None:
         scene, target = self.scenes[index], self.targets[index]
@@ -346,20 +350,16 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         try:
             moved = dataclasses.replace(scene, goals=goals)
             moved.check_target(target)
-        except InvalidSceneError:  # a block or an obstacle is in the new place: the target stays
+        except InvalidSceneError:  # something is in the new place: the target stays
             return
         self.scenes[index] = moved
-        self.barriers = Barriers.of(self.scenes, self.targets)
-        self._goals[index] = self._padded(self.scenes[index])
+        self._goals[index, : len(goals)] = moved.goals
 
-    def _padded(self, scene: Scene) -> Array:
-        goals = np.zeros((self.max_goals, self.dim))
-        goals[: scene.num_goals] = scene.goals
-        return goals
+    def _intended(self) -> Array:
+        return self._goals[np.arange(self.num_envs), self.targets]
 
     def _distance(self) -> Array:
-        target = self._goals[np.arange(self.num_envs), self.targets]
-        return np.linalg.norm(self.positions - target, axis=-1)
+        return np.linalg.norm(self.positions - self._intended(), axis=-1)
 
     def _observation(self) -> dict[str, Any]:
         return {
@@ -387,12 +387,6 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self._check_open()
         if not self.scenes:
             raise gymnasium.error.ResetNeeded("reset the environment before anything else")
-
-
-def check_render_mode(mode: Any, modes: Sequence[str]) -> None:
-    """Raise unless `mode` is None or one of `modes`."""
-    if mode not in (None, *modes):
-        raise InvalidInputError(f"render_mode must be one of {list(modes)}, got {mode!r}")
 
 
 def _directions(rng: np.random.Generator, dim: int) -> Array:

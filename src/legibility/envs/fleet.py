@@ -100,14 +100,14 @@ class Fleet:
 
     def safe(self, actions: Array, positions: Array, velocities: Array) -> Array:
         """`safe_actions` for all robots, `(B, D)` [m]."""
-        ends = np.cumsum([part.num_envs for part in self._parts])[:-1]
-        parts = zip(
-            self._parts, *(np.split(x, ends) for x in (actions, positions, velocities)), strict=True
-        )
-        return np.concatenate([
-            safe_actions(*robots, self.workspace, self.limit, self.lag, part.barriers)
-            for part, *robots in parts
-        ])  # fmt: skip
+        safe, first = np.empty_like(actions), 0
+        for part in self._parts:
+            rows = slice(first, first := first + part.num_envs)
+            safe[rows] = safe_actions(
+                actions[rows], positions[rows], velocities[rows], self.workspace, self.limit,
+                self.lag, part.barriers,
+            )  # fmt: skip
+        return safe
 
     def arm_contacts(self, trajectories: Array, rows: Sequence[int]) -> NDArray[np.int64]:
         """How often the whole arms of robots `rows (N,)` touch obstacles, `(N,)`.

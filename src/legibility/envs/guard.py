@@ -30,39 +30,15 @@ class Barriers:
 
     def __init__(self, scenes: Sequence[Scene], targets: Sequence[int]) -> None:
         pairs = list(zip(scenes, targets, strict=True))
-        exact = [scene.solids(int(target), inflated=False) for scene, target in pairs]
-        wide = [scene.solids(int(target)) for scene, target in pairs]
-        most = max(len(solids.radii) for solids in exact)
-        dim = scenes[0].dim
-
-        def stack(values: list[Array], shape: tuple[int, ...], fill: float | Array) -> Array:
-            filled = np.empty((len(pairs), *shape))
-            filled[:] = fill
-            for row, value in zip(filled, values, strict=True):
-                row[: len(value)] = value
-            return filled
-
-        # Every solid is a set of its own: `(B, P, 1, …)`.
-        self._boxes = [
-            stack([s.centers for s in exact], (most, dim), 0.0),
-            stack([s.axes for s in exact], (most, dim, dim), np.eye(dim)),
-            stack([s.halves for s in exact], (most, dim), 0.0),
-            stack([s.radii for s in exact], (most,), _ABSENT),
-        ]
-        self._margins = stack(
-            [w.radii - e.radii for w, e in zip(wide, exact, strict=True)], (most,), 0.0
-        )
-        self._polygons: list[Array] = []
-        if number := max(len(solids.vertices) for solids in exact):
-            corners = max(solids.vertices.shape[1] for solids in exact)
-            triangle = np.array([[0.0, 0.0], [1.0, 0.0], *[[0.0, 1.0]] * (corners - 2)])
-            vertices = [_filled_up(solids.vertices, corners) for solids in exact]
-            self._polygons = [
-                stack(vertices, (number, corners, 2), triangle),
-                stack([s.polygon_radii for s in exact], (number,), _ABSENT),
-            ]
-            margins = stack([w.polygon_radii for w in wide], (number,), 0.0)
-            self._margins = np.concatenate([self._margins, margins], axis=1)
+        exact = [scene.solids(target, inflated=False) for scene, target in pairs]
+        inflated = [scene.solids(target) for scene, target in pairs]
+        # Every solid is a set of its own, `(B, P, 1, …)`, those of a kind packed together.
+        self._kinds = [_boxes(exact)]
+        margins = [_boxes(inflated).radii - self._kinds[0].radii]
+        if any(len(solids.vertices) for solids in exact):
+            self._kinds.append(_polygons(exact))
+            margins.append(_polygons(inflated).polygon_radii - self._kinds[1].polygon_radii)
+        self._margins = np.concatenate(margins, axis=1)[..., 0] + _STANDOFF
 
     @classmethod
     def of(cls, scenes: Sequence[Scene], targets: Sequence[int]) -> Barriers | None:
@@ -74,8 +50,7 @@ class Barriers:
     def rows(self, rows: NDArray[np.intp]) -> Barriers:
         """Those of robots `rows (N,)` only."""
         part = object.__new__(Barriers)
-        part._boxes = [values[rows] for values in self._boxes]
-        part._polygons = [values[rows] for values in self._polygons]
+        part._kinds = [Solids(*(values[rows] for values in kind)) for kind in self._kinds]
         part._margins = self._margins[rows]
         return part
 
@@ -89,27 +64,13 @@ class Barriers:
         Returns:
             `(B, P)` [m] and `(B, P, D)`.
         """
-        number = self._boxes[0].shape[1]
-        each = points.shape[1] > 1
-        size, shape = len(points), (len(points), number, 0, 0, 2)
-        near = points[:, :number] if each else points
-        boxes = Solids(*(v[:, :, None] for v in self._boxes), np.empty(shape), np.empty(shape[:3]))
-        distance, slope = boxes.nearest(near[:, :, None])
-        if self._polygons:
-            near = points[:, number:] if each else points
-            vertices, radii = self._polygons
-            others = np.broadcast_to(np.eye(2), (*radii.shape, 1, 2, 2))
-            none = np.zeros((*radii.shape, 1, 2))
-            far = Solids(
-                none, others, none, np.full(none.shape[:-1], _ABSENT), vertices[:, :, None],
-                radii[:, :, None],
-            )  # fmt: skip
-            more, steeper = far.nearest(near[:, :, None])
-            distance = np.concatenate([distance, more], axis=1)
-            slope = np.concatenate([slope, steeper], axis=1)
-        distance = distance.reshape(size, -1)
-        slope = slope.reshape(*distance.shape, -1)
-        return distance - (self._margins + _STANDOFF) * inflated, slope
+        number = self._margins.shape[1]
+        points = np.broadcast_to(points, (len(points), number, points.shape[-1]))[:, :, None]
+        ends = np.cumsum([kind.radii.shape[1] for kind in self._kinds])[:-1]
+        parts = zip(self._kinds, np.split(points, ends, axis=1), strict=True)
+        found = [kind.nearest(near) for kind, near in parts]
+        distance, slope = (np.concatenate(x, axis=1)[:, :, 0] for x in zip(*found, strict=True))
+        return distance - self._margins * inflated, slope
 
     def closest(self, points: Array, steps: Array, *, inflated: bool) -> tuple[Array, Array, Array]:
         """Where the segments from `points` along `steps (B, D)` [m] come nearest to each solid.
@@ -183,11 +144,49 @@ class Barriers:
         return np.concatenate([slope, slope], axis=1), np.concatenate(offsets, axis=1)
 
 
-def _filled_up(polygons: Array, corners: int) -> Array:
-    """Polygons `(Q, V, 2)` with their last vertex repeated, `(Q, corners, 2)`."""
-    if not len(polygons):
-        return np.empty((0, corners, 2))
-    return np.pad(polygons, ((0, 0), (0, corners - polygons.shape[1]), (0, 0)), "edge")
+def _stack(values: Sequence[Array], shape: tuple[int, ...], absent: float | Array) -> Array:
+    """Values `(P, …)` of `B` scenes as `(B, P)` sets of one, with `absent` in free places."""
+    filled = np.empty((len(values), *shape))
+    filled[:] = absent
+    for row, value in zip(filled, values, strict=True):
+        row[: len(value)] = value
+    return filled[:, :, None]
+
+
+def _boxes(scenes: Sequence[Solids]) -> Solids:
+    """The rounded boxes of `B` scenes as `(B, P)` sets of one."""
+    most, dim = max(len(s.radii) for s in scenes), scenes[0].centers.shape[-1]
+    none = np.empty((len(scenes), most, 0))
+    return Solids(
+        _stack([s.centers for s in scenes], (most, dim), 0.0),
+        _stack([s.axes for s in scenes], (most, dim, dim), np.eye(dim)),
+        _stack([s.halves for s in scenes], (most, dim), 0.0),
+        _stack([s.radii for s in scenes], (most,), _ABSENT),
+        none[..., None, None],
+        none,
+    )
+
+
+def _polygons(scenes: Sequence[Solids]) -> Solids:
+    """The rounded polygons of `B` scenes as `(B, P)` sets of one."""
+    most = max(len(s.vertices) for s in scenes)
+    corners = max(s.vertices.shape[1] for s in scenes)
+    triangle = np.array([[0.0, 0.0], [1.0, 0.0], *[[0.0, 1.0]] * (corners - 2)])
+    filled = [
+        np.pad(s.vertices, ((0, 0), (0, corners - s.vertices.shape[1]), (0, 0)), "edge")
+        if len(s.vertices)
+        else np.empty((0, corners, 2))
+        for s in scenes
+    ]
+    size = len(scenes), most, 1
+    return Solids(
+        np.zeros((*size, 2)),
+        np.broadcast_to(np.eye(2), (*size, 2, 2)),
+        np.zeros((*size, 2)),
+        np.full(size, _ABSENT),
+        _stack(filled, (most, corners, 2), triangle),
+        _stack([s.polygon_radii for s in scenes], (most,), _ABSENT),
+    )
 
 
 def safe_actions(

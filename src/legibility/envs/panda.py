@@ -59,7 +59,7 @@ class PandaBlockReachVector(ArmVector):
             beyond = ((angles < JOINT_LIMITS[0]) | (angles > JOINT_LIMITS[1])).any(axis=-1)
             fast = (np.abs(speeds) > VELOCITY_LIMITS).any(axis=-1)
             events = touched[..., 0], touched[..., 1], beyond, fast
-            for name, occurred in zip(self.counted, events, strict=True):
+            for name, occurred in zip(self.events, events, strict=True):
                 self.counts[name][indices] += occurred.sum(axis=1)
         self._command[indices] = wanted
         return np.array([self._kinematics.grasp_point(angles) for angles in self._angles[indices]])
@@ -114,8 +114,9 @@ class PandaBlockReach(BlockReach):
     stacked higher, and have no contact: the grasp point between the fingertips can reach their
     centres. The workspace is x [−0.30, 0.10], y [−0.30, 0.30], z [0.02, 0.40], all in metres; the
     arm overshoots its walls by less than a centimetre. The gripper points down and does not turn;
-    in the two upper corners farthest from the base it leans back by up to 4.7° to reach them. The
-    observer does not know which block is the target and infers it from the motion.
+    in the two upper corners farthest from the base it leans back by up to 4.7° to reach them.
+    Obstacles of a scene are drawn and counted, and stop nothing either. The observer does not know
+    which block is the target and infers it from the motion.
 
     ## Action Space
     `Box(-0.02, 0.02, (3,), float64)`: a commanded displacement of the grasp point [m] for one
@@ -142,7 +143,8 @@ class PandaBlockReach(BlockReach):
 
     `info` has the entries of `BlockReach2D` (`wall_contact`: the command was clipped at a wall) and
     the number of physics steps of the episode with each of `table_contacts`, `self_collisions`,
-    `joint_limit_violations` and `velocity_limit_violations` (Franka's limits).
+    `joint_limit_violations` and `velocity_limit_violations` (Franka's limits), and the number of
+    control steps that ended with any link in an obstacle (`obstacle_contacts`).
 
     ## Arguments
     `reset(seed=…, options={…})` takes `scene`, `target`, `num_goals`, `noise`, `push` (the arm is

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..checks import Array
 from ..curves import arc_length, resample
@@ -29,6 +30,9 @@ JOINT_MARGIN = 0.02
 """Distance of the joints from their limits [rad]."""
 
 _TOLERANCE = 1e-7
+
+_OBSTACLES = 5
+"""The group of the obstacles' geoms."""
 
 _STEP = 0.01
 """Distance between the points at which a trajectory is checked for contacts [m]."""
@@ -63,20 +67,15 @@ def specification() -> Any:
 
 @functools.lru_cache(maxsize=32)
 def physics(obstacles: tuple[Obstacle, ...] = ()) -> Any:
-    """The arm on its table as an `MjModel` of primitive shapes, shared and never changed.
-
-    The geoms of `obstacles` are named `obstacle0` and so on.
-    """
+    """The arm on its table as an `MjModel` of primitive shapes, shared and never changed."""
     spec = specification()
     for geom in list(spec.geoms):
         if geom.group == 2:
             spec.delete(geom)
-    for number, obstacle in enumerate(obstacles):
+    for obstacle in obstacles:
         form, size, pose = solid_geom(obstacle)
-        spec.worldbody.add_geom(
-            name=f"obstacle{number}", type=form, size=size, pos=pose[:3, 3],
-            quat=_quaternion(pose[:3, :3]),
-        )  # fmt: skip
+        turn = _quaternion(pose[:3, :3])
+        spec.worldbody.add_geom(type=form, size=size, pos=pose[:3, 3], quat=turn, group=_OBSTACLES)
     return spec.compile()
 
 
@@ -169,32 +168,35 @@ def _shared_kinematics() -> Kinematics:
     return Kinematics()
 
 
-def arm_contacts(obstacles: tuple[Obstacle, ...], trajectory: Array) -> int:
-    """Number of points at which an arm that follows a trajectory touches an obstacle.
+def touching(obstacles: tuple[Obstacle, ...], angles: Array) -> NDArray[np.bool_]:
+    """Whether an arm at `angles (T, 7)` [rad] touches an obstacle, `(T,)`.
 
-    The grasp point follows `trajectory (T, 3)` [m] by inverse kinematics, 1 cm at a time. All links
-    that move count, with the shapes that collide in the simulation.
+    All links that move count, with the shapes that collide in the simulation.
     """
-    mujoco, model, kinematics = import_mujoco(), physics(obstacles), _shared_kinematics()
-    data = mujoco.MjData(model)
-    solid = np.array(
-        [name.startswith("obstacle") for name in map(_name(model), range(model.ngeom))]
-    )
-    number = int(np.ceil(arc_length(trajectory) / _STEP)) + 1
-    touching, angles = 0, kinematics.solve(trajectory[0])
-    for point in resample(trajectory, max(2, number)):
-        angles = angles + kinematics.step(angles, point)
-        data.qpos = angles
+    mujoco, model = import_mujoco(), physics(obstacles)
+    data, solid = mujoco.MjData(model), model.geom_group == _OBSTACLES
+    touched = np.zeros(len(angles), dtype=bool)
+    for step, pose in enumerate(angles):
+        data.qpos = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
         pairs, gaps = data.contact.geom[: data.ncon], data.contact.dist[: data.ncon]
-        touching += bool((solid[pairs].any(-1) & (gaps < 0)).any())
-    return touching
+        touched[step] = (solid[pairs].any(-1) & (gaps < 0)).any()
+    return touched
 
 
-def _name(model: Any) -> Any:
-    return lambda number: model.geom(number).name
+def postures(trajectory: Array) -> Array:
+    """Angles `(P, 7)` [rad] of an arm whose grasp point follows `trajectory (T, 3)` [m].
+
+    By inverse kinematics, 1 cm at a time.
+    """
+    kinematics = _shared_kinematics()
+    points = resample(trajectory, int(np.ceil(arc_length(trajectory) / _STEP)) + 2)
+    angles = [kinematics.solve(points[0])]
+    for point in points[1:]:
+        angles.append(angles[-1] + kinematics.step(angles[-1], point))
+    return np.array(angles)
 
 
 class Simulation:

@@ -75,7 +75,7 @@ class PandaGymBlockReachVector(ArmVector):
         positions = np.empty_like(targets)
         for row, index in enumerate(indices.tolist()):
             positions[row], counted = self._worlds[index].drive(targets[row], self.substeps)
-            for name, number in zip(self.counted, counted, strict=True):
+            for name, number in zip(self.events, counted, strict=True):
                 self.counts[name][index] += number
         return positions
 
@@ -142,7 +142,7 @@ class _World:
     def drive(self, target: Array, substeps: int) -> tuple[Array, list[int]]:
         """Move toward `target (3,)` [m] for one control step; return the position reached.
 
-        Also return the number of physics steps with each event of `counted`; a self-collision is
+        Also return the number of physics steps with each event of `events`; a self-collision is
         checked at the end of the control step only.
         """
         client, body, table = self.client, self.body, self.table
@@ -233,8 +233,8 @@ class PandaGymBlockReach(BlockReach):
 
     ## Description
     The paper's simulator: the arm, table and physics of panda-gym (PyBullet). The task and the
-    interface are those of `PandaBlockReach`, its twin in MuJoCo, which also draws the picture: that
-    needs the extra `panda`.
+    interface are those of `PandaBlockReach`, its twin in MuJoCo, which also draws the picture and
+    finds the links in obstacles: these need the extra `panda`.
 
     ## Action Space
     `Box(-0.02, 0.02, (3,), float64)`: a commanded displacement [m] for one control step (0.04 s,

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array, finite_array, random_seed
-from .block_reach import BlockReachVector, check_render_mode
+from . import check_render_mode
+from .block_reach import BlockReachVector
 
 
 class BlockReach(gymnasium.Env[dict[str, Any], Array]):
