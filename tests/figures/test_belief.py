@@ -37,7 +37,7 @@ OTHERS = {
     "gaussian, uniform, σ = 0.15 m": lg.Observer.paper(2),
     f"gaussian, neutral, σ = {0.15 * SIZE:.3g} m": lg.Observer(kind="gaussian"),
     "gaussian, prior 1 : 3, σ = 0.2 m": lg.Observer(kind="gaussian", prior=(1, 3), sigma=0.2),
-    "gaussian, neutral, σ = 0.1 m, seen from (0, -1), depth 2": lg.Observer(
+    "gaussian, neutral, σ = 0.1 m, seen from (0, −1), depth 2": lg.Observer(
         kind="gaussian", sigma=0.1, viewpoint=(0, -1), depth=2
     ),
     "boltzmann, neutral, β = 10 m⁻¹": lg.Observer(beta=10),
