@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from legibility.envs.fleet import safe_actions
+from legibility.envs.guard import safe_actions
 
 
 def equal(first, second):
@@ -27,7 +27,7 @@ def row(values, index):
 def safe(env, actions):
     return safe_actions(
         actions, env.positions, env.velocities, env.workspace, env.max_displacement,
-        env.lag_range[1],
+        env.lag_range[1], env.barriers,
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rooms import room
 
 import legibility as lg
 from legibility.drivers import Feedback, Replay
@@ -11,6 +12,7 @@ from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.envs.fleet import Fleet
 from legibility.errors import InvalidInputError
 from legibility.motion.path import Path
+from legibility.obstacles import Ball, Box
 from legibility.rollout import follow
 
 LIMIT = 0.05
@@ -27,9 +29,10 @@ def bent(scene, bend):
 
 
 def robots(size=6, seed=0, **options):
-    """Robots in random scenes and a path for each."""
+    """Robots in random scenes, where nothing is in the way, and a path for each."""
     env = BlockReach2DVector(size)
-    env.reset(seed=seed, options=options)
+    scenes = [lg.Scene.random(np.random.default_rng(seed + i)) for i in range(size)]
+    env.reset(seed=seed, options={"scene": scenes, **options})
     fleet = Fleet(env, 0)
     return fleet, [bent(s, 0.3 * (-1) ** i) for i, s in enumerate(fleet.scenes)]
 
@@ -88,9 +91,10 @@ class TestFeedback:
 def test_read_by_the_observer_of_the_path():
     (rollout,) = follow(*robots(size=1), Feedback())
     path = rollout.path
-    field = lg.InformationPotentialField(path.scene.goals, 0.15)
+    field = path.observer.field(path.scene)
     np.testing.assert_array_equal(rollout.posterior, field.posterior(rollout.states))
-    score = lg.metrics.legibility_score(rollout.trajectory(), field, path.target)
+    alpha = path.observer.alpha
+    score = lg.metrics.legibility_score(rollout.trajectory(), field, path.target, alpha=alpha)
     assert rollout.score == pytest.approx(float(score), rel=1e-12)
     archive = lg.build_archive(path.scene, path.target)
     assert rollout.achieved == pytest.approx(float(archive.label_of(rollout.score)), abs=1e-9)
@@ -136,6 +140,46 @@ def test_a_driver_is_asked_only_for_robots_that_need_actions():
     steps = [len(r.actions) for r in rollouts]
     for row, number in enumerate(steps):
         assert sum(row in rows for rows in Chunks.asked) == -(-number // 2)
+
+
+class TestObstacles:
+    def test_what_is_in_the_way_is_never_touched_and_counted(self):
+        """A path right through obstacles: the robot goes as far as it can, and that is told."""
+        scenes = [room(np.random.default_rng(i), 3) for i in range(24)]
+        env = BlockReach2DVector(24)
+        env.reset(seed=0, options={"scene": scenes})
+        rollouts = follow(Fleet(env, 0), [bent(s, 0.2) for s in scenes], Feedback())
+        check_safe(rollouts)
+        assert not any(r.contacts for r in rollouts)
+        blocked = [s.margin_at(r.path.trajectory(), 0).min() < -0.01
+                   for s, r in zip(scenes, rollouts, strict=True)]  # fmt: skip
+        assert 3 < sum(blocked) < 24
+        for rollout, scene, in_the_way in zip(rollouts, scenes, blocked, strict=True):
+            assert scene.margin_at(rollout.states, 0).min() >= -1e-9
+            assert rollout.corrections > 0 or not in_the_way
+            assert rollout.success or in_the_way
+
+    def test_a_path_with_clearance_is_followed(self):
+        solid = Ball([0.4, 0.45], 0.15)
+        scene = lg.Scene(SCENE.start, SCENE.goals, obstacles=[solid])
+        env = BlockReach2DVector(8)
+        env.reset(seed=0, options={"scene": scene})
+        for rollout in follow(Fleet(env, 0), [bent(scene, 0.25)] * 8, Feedback()):
+            assert rollout.success
+            assert rollout.contacts == rollout.corrections == 0
+            assert rollout.deviation.max() < 0.015
+
+    def test_contacts_after_a_push_into_an_obstacle(self):
+        solid = Box([0.4, 0.5], [0.3, 0.2])
+        scene = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[solid])
+        env = BlockReach2DVector(16)
+        env.reset(seed=0, options={"scene": scene, "push": 0.15})
+        rollouts = follow(Fleet(env, 0), [bent(scene, 0.2)] * 16, Feedback())
+        pushed = [solid.signed_distance(r.states).min() < -1e-6 for r in rollouts]
+        assert 0 < sum(pushed) < 16
+        for rollout, inside in zip(rollouts, pushed, strict=True):
+            assert (rollout.contacts > 0) == inside
+            assert solid.signed_distance(rollout.states[-1]) >= -1e-9
 
 
 def test_open_loop_falls_short():

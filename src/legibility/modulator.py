@@ -18,20 +18,22 @@ from .checks import (
     levels_for_each,
     positive,
     seed_or_entropy,
-    target_index,
 )
+from .curves import NUM_WAYPOINTS, path_curve
 from .drivers import Driver, Policy
 from .envs.fleet import Fleet, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
+from .intent.observer import Observer
 from .models.configuration import PathDiffuserConfig
-from .models.frame import check_scale
 from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
-from .models.path_sampler import PathSampler, Sampling
+from .models.path_sampler import PathSampler, Sampling, Tasks
 from .models.pretrained import load_stages, pretrained_folder, save_stage
+from .models.projection import project
 from .models.provenance import TrainingRecord
-from .motion.archive import Archive
-from .motion.path import Path, scene_archive, straight_waypoints
+from .motion.archive import Archive, scene_archive
+from .motion.bezier import bezier_trajectories
+from .motion.path import Path, straight_waypoints
 from .rollout import Rollout, follow
 from .scene import MIN_SEPARATION, Scene
 
@@ -123,9 +125,9 @@ class Modulator:
         if self.path_policy is not None:
             save_stage(folder, "policy", self.path_policy, self.training.get("policy"))
 
-    def archive(self, scene: Scene, target: int = 0) -> Archive:
-        """The archive of a scene by which this model's labels are read; cached."""
-        return scene_archive(scene, target, self.config.observer)
+    def archive(self, scene: Scene, target: int = 0, observer: Observer | None = None) -> Archive:
+        """The archive of a scene by which labels are read; cached."""
+        return scene_archive(scene, target, self._observer(observer))
 
     @np.errstate(under="ignore")
     def plan(
@@ -135,6 +137,9 @@ class Modulator:
         legibility: ArrayLike = 1.0,
         *,
         seed: int | None = 0,
+        observer: Observer | None = None,
+        exact: bool = False,
+        refine: bool = True,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -146,33 +151,39 @@ class Modulator:
             target: index of the intended goal.
             legibility: ℓ in [−1, 1], a number or `(B,)`.
             seed: of the paths drawn; None draws other paths each time.
+            observer: who watches; the model's own, Dragan's, if not given. α, detour and label must
+                be those that the model learned.
+            exact: meet ℓ to its noise by the scene's archive, which is built once (about 0.2 s) and
+                cached.
+            refine: move paths out of contact; where that fails, the archive's nearest curve stands
+                in. Without it the network's own paths are returned, feasible or not.
             num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
                 to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
-                Between, more than one needs the scene's archive, which is built once (about
-                0.15 s) and cached.
+                Between, more than one needs the scene's archive.
             guidance: weight of classifier-free guidance at ±1; the model's if not given.
             steps: of the sampler; the model's if not given.
 
         Raises:
             InvalidInputError: an argument is out of its range.
-            InvalidSceneError: the scene has another dimension than the model.
+            InvalidSceneError: the scene has another dimension than the model, a motion cannot end
+                at the target, or no curve leads there.
         """
-        self._check_scene(scene)
-        target = target_index(target, scene.num_goals)
         levels = legibility_levels(legibility)
         seed = seed_or_entropy("seed", seed)
         number = count("num_candidates", num_candidates)
         sampling = Sampling(guidance, steps).checked(self.config)
-        asked = np.repeat(np.atleast_1d(levels), number)
-        if number == 1:
-            paths = self.sampler.draw_with_retries([scene], [target], asked, seed, sampling)
-        else:
-            paths = self.sampler.draw([scene], [target], asked, seed, sampling)
-            scores = Path.through(paths, scene, target, asked, self.config.observer).score
-            best = self._nearest(scene, target, asked[::number], scores.reshape(-1, number))
-            paths = paths[np.arange(len(best)) * number + best]
-        waypoints = paths if levels.ndim else paths[0]
-        return Path.through(waypoints, scene, target, levels, self.config.observer)
+        tasks = self._tasks([scene], [target], [observer], np.repeat(np.atleast_1d(levels), number))
+        target, observer = tasks.targets[0], tasks.observers[0]
+        paths, replaced = self._drawn(tasks, seed, sampling, exact, refine)
+        if number > 1:
+            scores = Path.through(paths, scene, target, tasks.levels, observer).score
+            wanted = tasks.levels[::number]
+            best = self._nearest(scene, target, observer, wanted, scores.reshape(-1, number))
+            chosen = np.arange(len(best)) * number + best
+            paths, replaced = paths[chosen], replaced[chosen]
+        if not levels.ndim:
+            paths, replaced = paths[0], replaced[0]
+        return Path(scene, target, levels, paths, observer, replaced)
 
     @np.errstate(under="ignore")
     def plan_many(
@@ -182,6 +193,9 @@ class Modulator:
         legibility: ArrayLike = 1.0,
         *,
         seed: int | None = 0,
+        observer: Observer | Sequence[Observer] | None = None,
+        exact: bool = False,
+        refine: bool = True,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -192,35 +206,88 @@ class Modulator:
             scenes: `B` of the model's dimension.
             targets: index of the intended goal, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
-            seed, num_candidates, guidance, steps: see `plan`.
+            observer: who watches, one for all or a list of `B`.
+            seed, exact, refine, num_candidates, guidance, steps: see `plan`.
         """
         if isinstance(scenes, Scene) or not len(scenes):
             raise InvalidInputError(
                 "scenes must be a list of at least one; plan takes a single one"
             )
-        for scene in scenes:
-            self._check_scene(scene)
-        indices = [
-            target_index(target, scene.num_goals)
-            for scene, target in zip(scenes, for_each("targets", targets, len(scenes)), strict=True)
-        ]
-        levels = levels_for_each(legibility, len(scenes))
+        size = len(scenes)
+        levels = levels_for_each(legibility, size)
         seed = seed_or_entropy("seed", seed)
         sampling = Sampling(guidance, steps).checked(self.config)
+        observers = [observer] * size if isinstance(observer, Observer | None) else list(observer)
+        if len(observers) != size:
+            raise InvalidInputError(f"observer must be one for all or {size}, got {len(observers)}")
+        tasks = self._tasks(list(scenes), for_each("targets", targets, size), observers, levels)
         if count("num_candidates", num_candidates) > 1:
-            seeds = np.random.SeedSequence(seed).generate_state(len(scenes)).tolist()
-            options = {"num_candidates": num_candidates, **sampling._asdict()}
+            seeds = np.random.SeedSequence(seed).generate_state(size).tolist()
+            options = {
+                "exact": exact, "refine": refine, "num_candidates": num_candidates,
+                **sampling._asdict(),
+            }  # fmt: skip
             return [
-                self.plan(scene, target, level, seed=scene_seed, **options)
-                for scene, target, level, scene_seed in zip(
-                    scenes, indices, levels, seeds, strict=True
-                )
+                self.plan(scene, target, level, seed=scene_seed, observer=watching, **options)
+                for scene, target, watching, level, scene_seed in zip(*tasks, seeds, strict=True)
             ]
-        paths = self.sampler.draw_with_retries(scenes, indices, levels, seed, sampling)
+        paths, replaced = self._drawn(tasks, seed, sampling, exact, refine)
         return [
-            Path.through(waypoints, scene, target, level, self.config.observer)
-            for waypoints, scene, target, level in zip(paths, scenes, indices, levels, strict=True)
+            Path(scene, target, level, waypoints, watching, stands_in)
+            for scene, target, watching, level, waypoints, stands_in in zip(
+                *tasks, paths, replaced, strict=True
+            )
         ]
+
+    def _tasks(
+        self,
+        scenes: Sequence[Scene],
+        targets: Sequence[int],
+        observers: Sequence[Observer | None],
+        levels: Array,
+    ) -> Tasks:
+        """Paths to draw, checked."""
+        for scene in scenes:
+            self._check_scene(scene)
+        checked = [s.check_target(t) for s, t in zip(scenes, targets, strict=True)]
+        return Tasks(scenes, checked, [self._observer(o) for o in observers], levels)
+
+    def _drawn(
+        self, tasks: Tasks, seed: int, sampling: Sampling, exact: bool, refine: bool
+    ) -> tuple[Array, np.ndarray]:
+        """Paths `(B, K + 2, D)` [m], and whether the archive's curve stands in for each, `(B,)`."""
+        if not refine:
+            if exact:
+                raise InvalidInputError("exact plans are refined: leave refine as it is")
+            paths = self.sampler.draw(tasks, seed, sampling)
+            return paths, np.zeros(len(paths), dtype=bool)
+        paths = self.sampler.draw_with_retries(tasks, seed, sampling)
+        replaced = np.zeros(len(paths), dtype=bool)
+        for row, scene, target, observer in tasks.rows():
+            levels = tasks.levels[row]
+            wanted = None
+            if exact:
+                wanted = scene_archive(scene, target, observer).score_of(levels)
+            paths[row], feasible = project(paths[row], scene, target, observer, wanted)
+            for i in np.flatnonzero(~feasible):
+                archive = scene_archive(scene, target, observer)
+                paths[row][i] = _nearest_feasible(archive, levels[i])
+                replaced[row][i] = True
+        return paths, replaced
+
+    def _observer(self, observer: Observer | None) -> Observer:
+        """The observer, or the model's own; the scale of ℓ must be that of the model."""
+        own = self.config.observer
+        if observer is None:
+            return own
+        if not isinstance(observer, Observer):
+            raise InvalidInputError(f"observer must be a legibility.Observer, got {observer!r}")
+        if observer.scale != own.scale:
+            raise InvalidInputError(
+                f"the model {self.name} learned alpha, detour and label {own.scale}, the observer "
+                f"has {observer.scale}"
+            )
+        return observer
 
     def execute(
         self,
@@ -232,6 +299,9 @@ class Modulator:
         path: Path | None = None,
         replan: bool = True,
         tolerance: float | None = None,
+        observer: Observer | None = None,
+        exact: bool = False,
+        refine: bool = True,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -252,7 +322,7 @@ class Modulator:
                 without it the robot goes back to the path. Nearer to the goal than any start in
                 training, the rest is straight.
             tolerance: [m]; the largest action's length if not given.
-            num_candidates, guidance, steps: see `plan`.
+            observer, exact, refine, num_candidates, guidance, steps: see `plan`.
             driver: moves the robot instead of stage 2.
 
         Raises:
@@ -264,7 +334,8 @@ class Modulator:
         (rollout,) = self.execute_many(
             env, None if target is None else [target], legibility,
             seed=seed, paths=None if path is None else [path], replan=replan, tolerance=tolerance,
-            num_candidates=num_candidates, guidance=guidance, steps=steps, driver=driver,
+            observer=observer, exact=exact, refine=refine, num_candidates=num_candidates,
+            guidance=guidance, steps=steps, driver=driver,
         )  # fmt: skip
         return rollout
 
@@ -279,6 +350,9 @@ class Modulator:
         paths: Sequence[Path] | None = None,
         replan: bool = True,
         tolerance: float | None = None,
+        observer: Observer | None = None,
+        exact: bool = False,
+        refine: bool = True,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -292,7 +366,8 @@ class Modulator:
                 `paths` or of the environments.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             paths: `B` paths to follow instead of planning; they must start at the robots.
-            seed, replan, tolerance, num_candidates, guidance, steps, driver: see `execute`.
+            seed, replan, tolerance, observer, exact, refine, num_candidates, guidance, steps,
+                driver: see `execute`.
         """
         seed = seed_or_entropy("seed", seed)
         if driver is None:
@@ -318,7 +393,8 @@ class Modulator:
             return self.plan_many(
                 [scenes[row].starting_at(x) for row, x in zip(rows, positions, strict=True)],
                 fleet.targets[rows].tolist(), levels[rows],
-                seed=seed, num_candidates=num_candidates, guidance=guidance, steps=steps,
+                seed=seed, observer=observer, exact=exact, refine=refine,
+                num_candidates=num_candidates, guidance=guidance, steps=steps,
             )  # fmt: skip
 
         def plan_rest(rows: list[int], positions: Array) -> list[Path]:
@@ -327,7 +403,9 @@ class Modulator:
         chosen = plan(list(range(fleet.size)), fleet.positions) if paths is None else list(paths)
         return follow(fleet, chosen, driver, plan_rest if replan else None, tolerance)
 
-    def _nearest(self, scene: Scene, target: int, levels: Array, scores: Array) -> NDArray[np.intp]:
+    def _nearest(
+        self, scene: Scene, target: int, observer: Observer, levels: Array, scores: Array
+    ) -> NDArray[np.intp]:
         """Index `(B,)` of the candidate nearest to each of `levels (B,)`.
 
         Labels end at ±1, scores do not: there it is the most extreme one.
@@ -335,7 +413,7 @@ class Modulator:
         best = np.argmax(np.sign(levels)[:, None] * scores, axis=1)
         between = np.abs(levels) < 1
         if between.any():
-            labels = self.archive(scene, target).label_of(scores[between])
+            labels = self.archive(scene, target, observer).label_of(scores[between])
             best[between] = np.argmin(np.abs(labels - levels[between, None]), axis=1)
         return best
 
@@ -346,7 +424,6 @@ class Modulator:
             raise InvalidSceneError(
                 f"the model {self.name} plans in {self.config.dim}D, the scene is {scene.dim}D"
             )
-        check_scale(scene, self.name)
 
     def _check_fleet(self, fleet: Fleet) -> None:
         dim = fleet.workspace.shape[1]
@@ -367,3 +444,15 @@ def _straight_if_near(path: Path) -> Path:
     if np.linalg.norm(goal - start) >= 2 * MIN_SEPARATION * path.scene.diagonal:
         return path
     return replaced(path, waypoints=straight_waypoints(start, goal))
+
+
+def _nearest_feasible(archive: Archive, level: float) -> Array:
+    """The path `(K + 2, D)` [m] of the elite whose label is nearest, and which is feasible."""
+    order = np.argsort(np.abs(archive.labels - level), kind="stable")
+    for few in np.array_split(order, max(1, len(order) // 64)):
+        paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
+        curves = path_curve(paths, 192)
+        good = np.flatnonzero(archive.scene.feasible(curves, archive.target))
+        if len(good):
+            return paths[good[0]]
+    return bezier_trajectories(archive.anchor[None], NUM_WAYPOINTS + 2)[0]

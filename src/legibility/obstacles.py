@@ -6,6 +6,7 @@ arrays, so that one formula serves one scene in NumPy and a batch of scenes in P
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -199,7 +200,11 @@ _KEYS = {"ball": ({"center", "radius"}, set()), "box": ({"center", "size"}, {"ya
 
 def obstacle_from_dict(content: Any) -> Obstacle:
     """The obstacle of a scene file, one of `ball`, `box` and `polygon`."""
-    if not isinstance(content, dict) or len(content) != 1 or not content.keys() <= {*_KEYS, "polygon"}:
+    if (
+        not isinstance(content, dict)
+        or len(content) != 1
+        or not content.keys() <= {*_KEYS, "polygon"}
+    ):
         raise InvalidSceneError(
             f"an obstacle must be a mapping with one key, ball, box or polygon, got {content!r}"
         )
@@ -228,7 +233,7 @@ class Solids(NamedTuple):
         axes: `(..., O, D, D)`, the rows are a box's own axes.
         halves: `(..., O, D)`, half the size along each of them.
         radii: `(..., O)`.
-        vertices: `(..., Q, V, 2)`, counter-clockwise, filled up by the last one; Q = 0 in 3D.
+        vertices: `(..., Q, V, D)`, counter-clockwise, filled up by the last one; Q = 0 in 3D.
         polygon_radii: `(..., Q)`.
     """
 
@@ -259,43 +264,59 @@ class Solids(NamedTuple):
         return least, (chosen[..., None] * slopes).sum(-3)
 
     def _boxes(self, xp: Any, points: Any, gradient: bool) -> tuple[Any, Any]:
-        offset = points[..., None, :, :] - self.centers[..., :, None, :]
-        local = offset @ xp.swapaxes(self.axes, -1, -2)
-        beyond = abs(local) - self.halves[..., :, None, :]
-        outer = beyond.clip(min=0)
-        reach = xp.sqrt((outer * outer).sum(-1) + _TINY)
-        most = xp.amax(beyond, -1)
+        # One coordinate at a time: reductions over a short last axis are slow in NumPy.
+        dims = range(points.shape[-1])
+        offset = [points[..., None, :, d] - self.centers[..., :, None, d] for d in dims]
+        local = [sum(self.axes[..., i, d, None] * offset[d] for d in dims) for i in dims]
+        beyond = [abs(local[i]) - self.halves[..., i, None] for i in dims]
+        outer = [b.clip(min=0) for b in beyond]
+        reach = xp.sqrt(sum(o * o for o in outer) + _TINY)
+        most = functools.reduce(xp.maximum, beyond)
         distance = reach + most.clip(max=0) - self.radii[..., None]
         if not gradient:
             return distance, None
-        face = beyond == most[..., None]
-        slope = xp.where(most[..., None] > 0, outer / reach[..., None], face / face.sum(-1)[..., None])
-        return distance, xp.where(local < 0, -slope, slope) @ self.axes
+        face = [b == most for b in beyond]
+        shared = sum(1.0 * f for f in face)
+        slope = [
+            xp.where(most > 0, o / reach, f / shared) for o, f in zip(outer, face, strict=True)
+        ]
+        slope = [xp.where(x < 0, -g, g) for x, g in zip(local, slope, strict=True)]
+        world = [sum(self.axes[..., i, d, None] * slope[i] for i in dims) for d in dims]
+        return distance, xp.stack(world, -1)
 
     def _polygons(self, xp: Any, points: Any, gradient: bool) -> tuple[Any, Any]:
-        corners = self.vertices[..., :, None, :, :]  # (..., Q, 1, V, 2)
-        edges = xp.roll(corners, -1, -2) - corners
-        squared = (edges * edges).sum(-1)
-        offset = points[..., None, :, None, :] - corners
-        along = ((offset * edges).sum(-1) / (squared + _TINY)).clip(min=0, max=1)
-        gaps = offset - along[..., None] * edges
-        apart = (gaps * gaps).sum(-1)  # (..., Q, K, V)
-        closest = xp.amin(apart, -1)
-        reach = xp.sqrt(closest + _TINY)
-        normals = xp.stack([edges[..., 1], -edges[..., 0]], -1)
-        normals = normals / xp.sqrt(squared + _TINY)[..., None]
-        depth = xp.where(squared > 0, (offset * normals).sum(-1), -np.inf)
-        deepest = xp.amax(depth, -1)
-        inside = deepest < 0
+        x, y = points[..., None, :, 0], points[..., None, :, 1]
+        number = self.vertices.shape[-2]
+        parts = []
+        for v in range(number):  # one edge at a time, likewise
+            corner, end = (
+                self.vertices[..., v, :, None],
+                self.vertices[..., (v + 1) % number, :, None],
+            )
+            ex, ey = end[..., 0, :] - corner[..., 0, :], end[..., 1, :] - corner[..., 1, :]
+            squared = ex * ex + ey * ey
+            dx, dy = x - corner[..., 0, :], y - corner[..., 1, :]
+            along = ((dx * ex + dy * ey) / (squared + _TINY)).clip(min=0, max=1)
+            gx, gy = dx - along * ex, dy - along * ey
+            length = xp.sqrt(squared + _TINY)
+            nx, ny = ey / length, -ex / length
+            depth = xp.where(squared > 0, dx * nx + dy * ny, -np.inf)
+            parts.append((gx * gx + gy * gy, depth, gx, gy, nx, ny))
+        closest = functools.reduce(xp.minimum, [part[0] for part in parts])
+        deepest = functools.reduce(xp.maximum, [part[1] for part in parts])
+        inside, reach = deepest < 0, xp.sqrt(closest + _TINY)
         distance = xp.where(inside, deepest, reach) - self.polygon_radii[..., None]
         if not gradient:
             return distance, None
-        side = depth == deepest[..., None]
-        near = apart == closest[..., None]
-        inward = ((side / side.sum(-1)[..., None])[..., None] * normals).sum(-2)
-        outward = ((near / near.sum(-1)[..., None])[..., None] * gaps).sum(-2)
-        outward = outward / (reach[..., None] + _TINY)
-        return distance, xp.where(inside[..., None], inward, outward)
+        side, near = (
+            [1.0 * (part[i] == best) for part in parts] for i, best in ((1, deepest), (0, closest))
+        )
+        slope = []
+        for i, j in ((2, 4), (3, 5)):
+            outward = sum(n * part[i] for n, part in zip(near, parts, strict=True)) / sum(near)
+            inward = sum(s * part[j] for s, part in zip(side, parts, strict=True)) / sum(side)
+            slope.append(xp.where(inside, inward, outward / reach))
+        return distance, xp.stack(slope, -1)
 
 
 def solids_of(
@@ -325,7 +346,7 @@ def solids_of(
     if not rows:
         rows.append((np.zeros(dim), np.eye(dim), np.zeros(dim), _FAR))
     most = max((len(p) for p in polygons), default=0)
-    vertices = np.zeros((len(polygons), most, 2))
+    vertices = np.zeros((len(polygons), most, dim))
     for i, polygon in enumerate(polygons):
         vertices[i] = np.pad(polygon, ((0, most - len(polygon)), (0, 0)), "edge")
     columns = (np.array(column) for column in zip(*rows, strict=True))

@@ -10,7 +10,8 @@ import numpy as np
 from .checks import Array
 from .curves import NUM_WAYPOINTS, resample
 from .drivers import Driver, RobotStates
-from .envs.fleet import Fleet, safe_actions
+from .envs.fleet import Fleet
+from .envs.guard import CORRECTED
 from .errors import InvalidInputError
 from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .motion.path import Path
@@ -40,6 +41,9 @@ class Rollout:
         deviation: `(T,)` [m], distance from the path that was followed at the time.
         step_seconds: duration of a control step [s].
         wall_contacts: steps in which a wall of the workspace stopped the robot.
+        contacts: steps in which the end effector ran into an obstacle, or within the scene's
+            `goal_radius` of a block that is not the target.
+        corrections: steps in which `safe_actions` changed the driver's action.
         joint_angles: `(T + 1, J)` [rad], of an arm; J = 0 where there is none.
         counts: other events that the environment counted, by name.
     """
@@ -53,6 +57,8 @@ class Rollout:
     deviation: Array
     step_seconds: float
     wall_contacts: int
+    contacts: int
+    corrections: int
     joint_angles: Array = field(default_factory=lambda: np.empty((0, 0)))
     counts: dict[str, int] = field(default_factory=dict)
 
@@ -99,6 +105,8 @@ class Rollout:
             "replans": self.replans,
             "deviation": self.deviation.mean(),
             "wall_contacts": self.wall_contacts,
+            "contacts": self.contacts,
+            "corrections": self.corrections,
             "counts": self.counts,
             "time_to_confidence": self.time_to_confidence,
             "waypoints": self.path.waypoints,
@@ -158,7 +166,8 @@ class _Run:
         self.success, self.ended = np.zeros((2, size), dtype=bool)
         self.reasons = np.full(size, "", dtype=object)
         self.least = np.full(size, np.inf)  # left to go [m] when it last fell by _PROGRESS
-        self.steps, self.idle, self.restarts, self.wall_contacts = np.zeros((4, size), dtype=int)
+        self.steps, self.idle, self.restarts = np.zeros((3, size), dtype=int)
+        self.wall_contacts, self.contacts, self.corrections = np.zeros((3, size), dtype=int)
         self.replans: list[list[int]] = [[] for _ in range(size)]
         self.counts = {name: np.zeros(size, dtype=int) for name in fleet.counts}
         self.states, self.joint_angles = [self.positions], [fleet.joint_angles]
@@ -177,11 +186,9 @@ class _Run:
         wanted = np.zeros_like(self.positions)
         for row in np.flatnonzero(self.active):
             wanted[row], self.chunks[row] = self.chunks[row][0], self.chunks[row][1:]
-        fleet, velocities = self.fleet, self.positions - self.previous
-        actions = safe_actions(
-            wanted, self.positions, velocities, fleet.workspace, fleet.limit, fleet.lag
-        )
+        actions = self.fleet.safe(wanted, self.positions, self.positions - self.previous)
         actions[~self.active] = 0
+        self.corrections += ~(np.abs(actions - wanted) <= CORRECTED).all(-1)  # NaN is corrected
         return actions
 
     def step(self, actions: Array) -> None:
@@ -197,6 +204,7 @@ class _Run:
         self.deviations.append(self.tracker.distance(self.positions))
         self.steps += active
         self.wall_contacts += active & fleet.wall_contacts
+        self.contacts += active & fleet.contacts
         for name, number in fleet.counts.items():
             self.counts[name][active] = number[active]
 
@@ -251,6 +259,8 @@ class _Run:
                 deviation=deviations[i, :steps],
                 step_seconds=self.fleet.step_seconds,
                 wall_contacts=int(self.wall_contacts[i]),
+                contacts=int(self.contacts[i]),
+                corrections=int(self.corrections[i]),
                 joint_angles=joint_angles[i, : steps + 1],
                 counts={name: int(number[i]) for name, number in self.counts.items()},
             )

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .checks import Array, bounded, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
 from .files import read_document, write_bytes, write_json
-from .obstacles import Ball, Box, Obstacle, Polygon, Solids, obstacle_from_dict, solids_of
+from .obstacles import Obstacle, Solids, obstacle_from_dict, solids_of
 
 DEFAULT_WORKSPACE = {2: ((-0.1, -0.1), (1.1, 1.1)), 3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40))}
 """Low and high corner [m] by dimension: the unit square with a margin, and the Panda's table."""
@@ -153,8 +153,7 @@ class Scene:
 
     def _distance(self, points: ArrayLike, solids: Solids) -> Array:
         points = finite_array("points", points, min_ndim=1, last=self.dim)
-        low, high = self.workspace
-        walls = np.minimum(points - low, high - points).min(-1)
+        walls = self._walls(points)
         if not self.obstacles and not self.goal_radius:
             return walls
         flat = points.reshape(-1, self.dim)
@@ -195,9 +194,14 @@ class Scene:
 
     def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> np.ndarray:
         """Whether each of `points (..., D)` [m] lies in the workspace, `(...)` bool."""
-        points = np.asarray(points)
-        low, high = self.workspace
-        return ((points >= low - tolerance) & (points <= high + tolerance)).all(-1)
+        return self._walls(np.asarray(points)) >= -tolerance
+
+    def _walls(self, points: np.ndarray) -> np.ndarray:
+        """Distance [m] of `points (..., D)` from the nearest wall, `(...)`, negative outside."""
+        # One coordinate at a time: reductions over a short last axis are slow in NumPy.
+        (low, high), axes = self.workspace, range(self.dim)
+        gaps = [np.minimum(points[..., d] - low[d], high[d] - points[..., d]) for d in axes]
+        return functools.reduce(np.minimum, gaps)
 
     def starting_at(self, position: Array) -> Scene:
         """The scene for a robot that now stands at `position (D,)` [m].

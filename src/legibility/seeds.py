@@ -5,7 +5,7 @@ import numpy as np
 STREAMS = ("train", "validation", "evaluation")
 """Training data, validation data, reported evaluations."""
 
-_USES = ("scene", "archive", "choice", "plan", "demonstration")
+_USES = ("scene", "archive", "choice", "plan", "demonstration", "observer")
 
 
 def stream_seed(stream: str, seed: int, index: int, use: str) -> np.random.SeedSequence:
@@ -15,7 +15,8 @@ def stream_seed(stream: str, seed: int, index: int, use: str) -> np.random.SeedS
         stream: one of `STREAMS`.
         seed: of the dataset or evaluation.
         index: of the item.
-        use: `scene`, `archive`, `choice` (of trajectories), `plan` or `demonstration`.
+        use: `scene`, `archive`, `choice` (of trajectories), `plan`, `demonstration` or
+            `observer`.
     """
     key = _USES.index(use)
     return np.random.SeedSequence([STREAMS.index(stream), seed, index], spawn_key=(key,))

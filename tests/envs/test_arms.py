@@ -81,7 +81,8 @@ class TestGymnasium:
         assert shapes == {"position": (3,), "goals": (6, 3), "present": (6,), "target": ()}
         _, info = env.reset(seed=0)
         assert set(info) == {
-            "is_success", "distance", "speed", "wall_contact", "disturbed", *ArmVector.counted,
+            "is_success", "distance", "speed", "wall_contact", "contact", "disturbed",
+            *ArmVector.counted,
         }  # fmt: skip
 
 

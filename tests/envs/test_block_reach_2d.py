@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from legibility import Scene
 from legibility.envs.block_reach_2d import BlockReach2D, BlockReach2DVector
 from legibility.errors import InvalidInputError, InvalidSceneError
+from legibility.obstacles import Ball, Box
 from legibility.scene import DEFAULT_WORKSPACE
 
 ID = "legibility/BlockReach2D-v0"
@@ -303,6 +304,7 @@ class TestReset:
             "distance": pytest.approx(np.hypot(1, 0.2)),
             "speed": 0.0,
             "wall_contact": False,
+            "contact": False,
             "disturbed": False,
         }
 
@@ -672,6 +674,85 @@ class TestStep:
             env.step(toward(env))
         env.reset()
         assert all(itertools.starmap(equal, zip(results, copies, strict=True)))
+
+
+class TestObstacles:
+    SCENE = Scene(
+        [0, 0.5], [[1, 0.5], [0.5, 0.8]], obstacles=[Box([0.3, 0.5], [0.1, 0.2])],
+        goal_radius=0.05, clearance=0.01,
+    )  # fmt: skip
+
+    def test_contacts_stop_nothing_and_are_counted(self):
+        env = vector(2, {"scene": [self.SCENE, SCENE], "gain": 0.8, "lag": 0.0})
+        inside = 0
+        for _ in range(40):
+            before = env.positions[0]
+            *_, info = env.step(np.full((2, 2), [0.05, 0.0]))
+            touched = info["contact"]
+            assert (touched == env.contact).all()
+            expected = before[0] < 0.35 - 1e-6 and env.positions[0, 0] > 0.25 + 1e-6
+            assert touched.tolist() == [expected, False]
+            inside += touched[0]
+        assert inside == 3
+        assert env.positions[0, 0] == pytest.approx(1.1)
+        env.reset(seed=0)
+        assert not env.contact.any()
+
+    def test_blocks_are_touched_unless_they_are_the_target(self):
+        env = vector(2, {"scene": self.SCENE, "target": [0, 1], "push": 0.0})
+        env.positions[:] = [0.5, 0.74]
+        *_, info = env.step(np.full((2, 2), [0.0, 0.02]))
+        assert info["contact"].tolist() == [True, False]
+        env.set_target(0, 1)
+        *_, info = env.step(np.zeros((2, 2)))
+        assert info["contact"].tolist() == [False, False]
+
+    def test_a_robot_at_rest_or_ended_touches_nothing_new(self):
+        env = vector(1, {"scene": self.SCENE}, max_episode_steps=1)
+        env.positions[:] = [0.3, 0.5]
+        assert env.step(np.zeros((1, 2)))[-1]["contact"].tolist() == [True]
+        assert env.step(np.zeros((1, 2)))[-1]["contact"].tolist() == [False]
+
+    def test_a_moved_target_keeps_the_room(self):
+        env = vector(8, {"scene": self.SCENE, "shift": 0.1})
+        for _ in range(25):
+            env.step(0.8 * np.array([s.goals[0] for s in env.scenes]) - 0.8 * env.positions)
+        assert all((scene.goals[0] != self.SCENE.goals[0]).any() for scene in env.scenes)
+        for scene in env.scenes:
+            assert scene.obstacles == self.SCENE.obstacles
+            assert (scene.goal_radius, scene.clearance) == (0.05, 0.01)
+
+    def test_a_target_is_not_shifted_into_an_obstacle(self):
+        cage = [Box([1, y], [0.6, 0.02]) for y in (0.47, 0.53)]
+        scene = Scene([0, 0.5], [[1, 0.5], [0.5, 0.8]], obstacles=cage)
+        env = vector(20, {"scene": scene, "shift": 0.03})
+        for _ in range(40):
+            env.step(np.full((20, 2), [0.05, 0.0]))
+        moved = [s for s in env.scenes if (s.goals[0] != scene.goals[0]).any()]
+        assert 0 < len(moved) < 20
+        assert all(s.check_target(0) == 0 for s in moved)
+
+    def test_targets_in_obstacles_are_refused(self):
+        blocked = Scene([0, 0.5], [[1, 0.5], [0.3, 0.5]], obstacles=[Ball([0.3, 0.5], 0.1)])
+        with pytest.raises(InvalidSceneError, match=r"obstacles\[0\] lies over the target"):
+            BlockReach2D().reset(options={"scene": blocked, "target": 1})
+        env = vector(1, {"scene": blocked})
+        with pytest.raises(InvalidSceneError, match=r"obstacles\[0\] lies over the target"):
+            env.set_target(0, 1)
+        assert env.targets.tolist() == [0]
+
+    @given(seeds)
+    def test_drawn_scenes_have_blocks_of_their_size(self, seed):
+        env = vector(1, seed=seed)
+        (scene,) = env.scenes
+        assert scene.goal_radius == env.block_radius
+        assert not scene.obstacles
+        assert all(scene.check_target(i) == i for i in range(scene.num_goals))
+        assert scene.margin_at(scene.start, 0) >= 0
+
+    def test_a_point_has_no_arm(self):
+        env = vector(2, {"scene": self.SCENE})
+        assert env.arm_contacts(np.zeros((2, 5, 2))).tolist() == [0, 0]
 
 
 def test_importing_the_package_registers_it_once():

@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from rooms import room
 
 from legibility.envs.block_reach_2d import BlockReach2DVector
-from legibility.envs.fleet import safe_actions
-from legibility.scene import DEFAULT_WORKSPACE
+from legibility.envs.guard import Barriers, safe_actions
+from legibility.obstacles import Ball, Box, Polygon
+from legibility.scene import DEFAULT_WORKSPACE, Scene
 
 LIMIT, LAG = 0.05, 0.3
 WORKSPACE = np.array(DEFAULT_WORKSPACE[2])
@@ -18,8 +20,8 @@ MIDDLE, REST = np.full(2, 0.5), np.zeros(2)
 anything = st.floats(width=64) | st.sampled_from([np.inf, -np.inf, np.nan, 1e308, -1e308, 5e-324])
 
 
-def safe(actions, positions=MIDDLE, velocities=REST, limit=LIMIT):
-    return safe_actions(actions, positions, velocities, WORKSPACE, limit, LAG)
+def safe(actions, positions=MIDDLE, velocities=REST, limit=LIMIT, barriers=None):
+    return safe_actions(actions, positions, velocities, WORKSPACE, limit, LAG, barriers)
 
 
 @given(
@@ -120,3 +122,167 @@ def test_three_dimensions():
     workspace = np.array(DEFAULT_WORKSPACE[3])
     sent = safe_actions([0, 0, -1], np.array([0, 0, 0.03]), np.zeros(3), workspace, 0.05, 0.3)
     assert sent == pytest.approx(np.array([0, 0, -0.01]))
+
+
+def free_positions(scenes, rng):
+    """A position in each room where a robot touches nothing, as often as not close to something."""
+    positions = []
+    for scene in scenes:
+        places = rng.uniform(*scene.workspace, (400, scene.dim))
+        margins = scene.margin_at(places, 0)
+        nearest = np.flatnonzero(margins >= 0)[np.argsort(margins[margins >= 0])]
+        positions.append(places[nearest[0] if rng.random() < 0.5 else rng.choice(nearest)])
+    return np.array(positions)
+
+
+def rooms(rng, size, dim=2):
+    return [
+        room(rng, int(rng.integers(0, 5)), dim, rng.choice([0, 0.02]), rng.choice([0, 0.03]))
+        for _ in range(size)
+    ]
+
+
+class TestObstacles:
+    @settings(max_examples=25, deadline=None)
+    @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
+    def test_a_robot_that_is_free_stays_free(self, seed, dim):
+        rng = np.random.default_rng(seed)
+        scenes = rooms(rng, 8, dim)
+        positions = free_positions(scenes, rng)
+        velocities = rng.normal(0, 0.02, (8, dim))
+        wanted = rng.normal(0, rng.choice([0.01, 0.1]), (8, dim))
+        workspace = scenes[0].workspace
+        barriers = Barriers.of(scenes, [0] * 8)
+        sent = safe_actions(wanted, positions, velocities, workspace, LIMIT, LAG, barriers)
+        assert (np.abs(sent) <= LIMIT).all()
+        for scene, position, action in zip(scenes, positions, sent, strict=True):
+            way = position + np.linspace(0, 1, 50)[:, None] * action
+            assert scene.margin_at(way, 0).min() >= -1e-9
+
+    @settings(max_examples=15, deadline=None)
+    @given(st.integers(0, 2**32 - 1), st.booleans())
+    def test_a_guarded_robot_never_touches_an_obstacle(self, seed, extreme):
+        """Whatever its gain and lag, even those at the ends of their ranges."""
+        rng = np.random.default_rng(seed)
+        gain, lag = rng.uniform(0, 1, 8), rng.uniform(0, LAG, 8)
+        if extreme:
+            gain, lag = rng.choice([0.5, 1], 8), rng.choice([0, LAG], 8)
+        env = BlockReach2DVector(8)
+        env.reset(options={"scene": rooms(rng, 8), "gain": gain, "lag": lag})
+        for step in range(60):
+            if step % 12 == 0:
+                way = rng.normal(0, LIMIT, (8, 2))
+            actions = way * rng.choice([0.2, 1, 1, -1], (8, 1))
+            env.done[:] = False
+            *_, info = env.step(safe(actions, env.positions, env.velocities, LIMIT, env.barriers))
+            assert not info["contact"].any()
+            assert not info["wall_contact"].any()
+
+    @given(st.integers(0, 2**32 - 1))
+    def test_in_free_space_nothing_changes(self, seed):
+        rng = np.random.default_rng(seed)
+        scenes = rooms(rng, 8)
+        positions, velocities = rng.uniform(0, 1, (8, 2)), rng.normal(0, 0.02, (8, 2))
+        wanted = rng.normal(0, 0.05, (8, 2))
+        plain = safe(wanted, positions, velocities)
+        sent = safe(wanted, positions, velocities, LIMIT, Barriers.of(scenes, [0] * 8))
+        reach = 2 * LIMIT + np.linalg.norm(velocities, axis=-1)
+        far = np.array([s.margin_at(x, 0) for s, x in zip(scenes, positions, strict=True)]) > reach
+        np.testing.assert_array_equal(sent[far], plain[far])
+
+    @pytest.mark.parametrize(
+        "solid",
+        [Ball([0.5, 0.5], 0.1), Box([0.5, 0.5], [0.3, 0.2], 0.4),
+         Polygon([[0.4, 0.4], [0.6, 0.4], [0.5, 0.65]])],
+    )  # fmt: skip
+    def test_a_robot_inside_is_led_out(self, solid):
+        scene = Scene([0, 0], [[1, 1], [1, 0]], obstacles=[solid])
+        barriers = Barriers.of([scene], [0])
+        position = np.array([[0.51, 0.48]])
+        for _ in range(12):
+            position = position + safe([[0.0, 0.0]], position, np.zeros((1, 2)), LIMIT, barriers)
+        assert 0 <= scene.margin_at(position[0], 0) < 1e-5
+
+    def test_it_slides_along_a_surface(self):
+        scene = Scene([0, 0], [[1, 1], [1, 0]], obstacles=[Box([0.5, 0.5], [0.4, 0.2])])
+        sent = safe(
+            [[0.03, -0.03]], np.array([[0.5, 0.61]]), np.zeros((1, 2)), LIMIT,
+            Barriers.of([scene], [0]),
+        )  # fmt: skip
+        assert sent == pytest.approx(np.array([[0.03, -0.01]]), abs=1e-5)
+
+    def test_the_clearance_is_kept(self):
+        scene = Scene([0, 0.5], [[1, 1], [1, 0]], obstacles=[Ball([0.5, 0.5], 0.1)], clearance=0.05)
+        env = BlockReach2DVector(1)
+        env.reset(options={"scene": scene})
+        for _ in range(40):
+            env.step(safe([[0.05, 0.0]], env.positions, env.velocities, LIMIT, env.barriers))
+        assert env.positions[0] == pytest.approx([0.35, 0.5], abs=1e-5)
+
+    def test_only_other_goals_are_solid(self):
+        scene = Scene([0, 0.5], [[0.5, 0.5], [1, 0.5]], goal_radius=0.05)
+        position, action = np.array([[0.44, 0.5]]), [[0.05, 0.0]]
+        ends = [
+            position + safe(action, position, np.zeros((1, 2)), LIMIT, Barriers.of([scene], [t]))
+            for t in (0, 1)
+        ]
+        assert ends[0] == pytest.approx(np.array([[0.49, 0.5]]))
+        assert ends[1] == pytest.approx(np.array([[0.45, 0.5]]), abs=1e-5)
+
+    def test_empty_rooms_need_no_barriers(self):
+        assert Barriers.of([Scene([0, 0.5], [[0.5, 0.5], [1, 0.5]])], [0]) is None
+
+    @settings(max_examples=20, deadline=None)
+    @given(st.integers(0, 2**32 - 1))
+    def test_distances_are_those_of_the_scenes(self, seed):
+        rng = np.random.default_rng(seed)
+        scenes = rooms(rng, 6)
+        barriers, points = Barriers.of(scenes, [0] * 6), rng.uniform(0, 1, (6, 2))
+        if barriers is None:
+            return
+        rows = np.array([4, 1])
+        for inflated in (False, True):
+            found, slopes = barriers.nearest(points[:, None], inflated=inflated)
+            for scene, point, distances in zip(scenes, points, found, strict=True):
+                expected = scene.solids(0, inflated=inflated).distance(point[None])[0]
+                assert min(distances.min(), 9) == pytest.approx(min(expected, 9), abs=2e-6)
+            part = barriers.rows(rows).nearest(points[rows, None], inflated=inflated)
+            np.testing.assert_array_equal(part[0], found[rows])
+            np.testing.assert_array_equal(part[1], slopes[rows])
+
+
+class TestTouched:
+    SCENE = Scene(
+        [0, 0.5], [[1, 1], [1, 0], [0.5, 0.9]], goal_radius=0.05,
+        obstacles=[Box([0.5, 0.5], [0.01, 0.4]), Polygon([[0.8, 0.4], [0.9, 0.4], [0.8, 0.6]])],
+    )  # fmt: skip
+
+    @pytest.mark.parametrize(
+        ("point", "step", "touched"),
+        [
+            ([0.48, 0.5], [0.01, 0.0], False),
+            ([0.48, 0.5], [0.02, 0.0], True),
+            ([0.48, 0.5], [0.05, 0.0], True),  # right through it
+            ([0.495, 0.4], [0.0, 0.1], False),  # along its surface
+            ([0.5, 0.5], [0.0, 0.0], True),
+            ([0.78, 0.5], [0.04, 0.0], True),
+            ([0.95, 0.0], [0.02, 0.0], True),  # another block
+            ([0.95, 1.0], [0.02, 0.0], False),  # the target
+        ],
+    )
+    def test_a_step(self, point, step, touched):
+        barriers = Barriers.of([self.SCENE], [0])
+        assert barriers.touched(np.array([point]), np.array([step])).tolist() == [touched]
+
+    @settings(max_examples=25, deadline=None)
+    @given(st.integers(0, 2**32 - 1))
+    def test_as_many_points_find(self, seed):
+        rng = np.random.default_rng(seed)
+        scenes = [room(rng, 4) for _ in range(8)]
+        points, steps = rng.uniform(0, 1, (8, 2)), rng.normal(0, 0.1, (8, 2))
+        found = Barriers.of(scenes, [0] * 8).touched(points, steps)
+        for scene, point, step, touched in zip(scenes, points, steps, found, strict=True):
+            way = point + np.linspace(0, 1, 500)[:, None] * step
+            least = scene.solids(0, inflated=False).distance(way).min()
+            if abs(least) > 1e-3:
+                assert touched == (least < 0)

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from PIL import ImageColor
 
 from legibility import Scene
-from legibility.envs.colors import GOALS, INK
+from legibility.envs.colors import GOALS, INK, OBSTACLE
 from legibility.envs.render import draw_scene
+from legibility.obstacles import Ball, Box, Polygon
 
 SCENE = Scene([0, 0.5], [[0.8, 0.6], [1, 0.3], [0.2, 1.0], [0.3, 0.1]])
 AWAY = np.array([0.5, 0.8])
@@ -62,6 +63,22 @@ def test_any_scene(seed, number):
     assert image.shape == (480, 480, 3)
     for i in range(scene.num_goals):
         assert (image == ImageColor.getrgb(GOALS[i])).all(-1).any()
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [Ball([0.5, 0.5], 0.1), Box([0.5, 0.5], [0.3, 0.1], 0.5),
+     Polygon([[0.4, 0.4], [0.6, 0.45], [0.5, 0.65]])],
+)  # fmt: skip
+def test_an_obstacle_is_where_it_is(solid):
+    scene = Scene(SCENE.start, SCENE.goals, obstacles=[solid])
+    image, bare = draw_scene(scene, 0, AWAY), draw_scene(SCENE, 0, AWAY)
+    for point in np.random.default_rng(0).uniform(0.32, 0.7, (200, 2)):
+        distance = solid.signed_distance(point)
+        if distance < -0.005:
+            assert color_at(image, point) == ImageColor.getrgb(OBSTACLE)
+        elif distance > 0.005:
+            assert color_at(image, point) == color_at(bare, point)
 
 
 def test_corners_and_other_shapes():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -10,35 +10,55 @@ import numpy as np
 from ..checks import bounded, count, positive, random_seed
 from ..errors import DatasetError, InvalidInputError
 from ..intent.observer import Observer
-from ..motion.archive import DEFAULT_CELLS, Archive, build_archive
+from ..motion.archive import Archive, build_archive, passable
 from ..scene import Scene
 from ..seeds import STREAMS, stream_seed
+from .rooms import add_obstacles, default_like, random_observer, random_room
 
 VALIDATION_SCENES = 128
 _NOISE, _PUSH = 0.06, 2.0
+_CELLS = {2: 20, 3: 8}
+
+
+REGIMES = ("paper", "dragan", "observers", "rooms", "obstacles", "all", "training")
+"""Kinds of scenes and observers:
+
+* `paper`: the default workspace, empty; the paper's observer;
+* `dragan`: the same, the default observer;
+* `observers`: the same, any observer;
+* `rooms`: empty rooms of any size and aspect, the default observer;
+* `obstacles`: the default workspace with one to four obstacles, the default observer;
+* `all`: any room with up to four obstacles, any observer;
+* `training`: a mixture of all of these.
+"""
+
+_ANY_GOALS = (2, 8)
 
 
 @dataclass(frozen=True)
 class SceneStream:
-    """Random scenes by index; the target is goal 0 in each.
+    """Random scenes and observers by index; the target is goal 0 in each scene.
 
     Attributes:
         stream: seed stream, train, validation or evaluation; no two share a scene.
         dim: 2 or 3.
+        regime: one of `REGIMES`.
         goals: least and most goals of a scene, from 2 to 12.
         seed: of the scenes and their archives.
     """
 
     stream: str
     dim: int = 2
+    regime: str = "dragan"
     goals: tuple[int, int] = (2, 6)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.stream not in STREAMS:
-            raise InvalidInputError(
-                f"stream must be one of {', '.join(STREAMS)}, got {self.stream!r}"
-            )
+        for name, allowed in (("stream", STREAMS), ("regime", REGIMES)):
+            if getattr(self, name) not in allowed:
+                raise InvalidInputError(
+                    f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
+                )
         if self.dim not in (2, 3):
             raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
         random_seed("seed", self.seed)
@@ -49,15 +69,52 @@ class SceneStream:
             )
 
     def scene(self, index: int) -> Scene:
-        """Scene `index`."""
+        """Scene `index`, in which a curve leads to the target."""
         rng = np.random.default_rng(stream_seed(self.stream, self.seed, index, "scene"))
-        num_goals = int(rng.integers(self.goals[0], self.goals[1] + 1))
-        return Scene.random(rng, dim=self.dim, num_goals=num_goals)
+        while True:
+            scene = self._draw(rng)
+            if passable(scene, 0):
+                return scene
 
-    def archive(self, index: int, observer: Observer, cells: int | None = None) -> Archive:
-        """The archive of scene `index` for an observer."""
+    def _draw(self, rng: np.random.Generator) -> Scene:
+        regime = self.regime
+        anywhere = regime in ("rooms", "all") or (regime == "training" and rng.random() < 0.5)
+        obstacles = (0, 0)
+        if regime == "obstacles" or (regime == "training" and rng.random() < 0.5):
+            obstacles = (1, 4)
+        elif regime == "all":
+            obstacles = (0, 4)
+        if anywhere:
+            goals = (min(self.goals[0], _ANY_GOALS[0]), max(self.goals[1], _ANY_GOALS[1]))
+            return random_room(rng, dim=self.dim, goals=goals, obstacles=obstacles)
+        num_goals = int(rng.integers(self.goals[0], self.goals[1] + 1))
+        scene = Scene.random(rng, dim=self.dim, num_goals=num_goals)
+        return add_obstacles(rng, scene, obstacles) if obstacles[1] else scene
+
+    def observer_of(self, index: int, scene: Scene, like: Observer, view: int = 0) -> Observer:
+        """The observer of scene `index`, with the α, detour and label of `like`.
+
+        `view` counts several observers of one scene.
+        """
+        seed = stream_seed(self.stream, self.seed, index, "observer")
+        rng = np.random.default_rng([*seed.generate_state(4), view])
+        draw = rng.random() if self.regime == "training" else 1.0
+        if self.regime == "paper" or draw < 0.2:
+            alpha, detour, label = like.scale
+            paper = Observer.paper(self.dim)
+            if self.regime == "training":  # the same share of the scene as in the paper's own
+                paper = replace(paper, sigma=float(rng.uniform(0.1, 0.27)) * scene.size)
+            return replace(paper, alpha=alpha, detour=detour, label=label)
+        if self.regime in ("observers", "all") or 0.55 <= draw < 1:
+            return random_observer(rng, scene, like)
+        return default_like(like)
+
+    def archive(self, index: int, like: Observer, **settings: Any) -> Archive:
+        """The archive of scene `index` for its observer; `settings` are of `build_archive`."""
+        scene = self.scene(index)
         seed = stream_seed(self.stream, self.seed, index, "archive")
-        return build_archive(self.scene(index), observer=observer, seed=seed, cells=cells)
+        observer = self.observer_of(index, scene, like)
+        return build_archive(scene, observer=observer, seed=seed, **settings)
 
 
 @dataclass(frozen=True)
@@ -65,25 +122,33 @@ class DatasetConfig(SceneStream):
     """The settings of a dataset.
 
     Attributes:
+        regime: see `SceneStream`.
         scenes: number of random scenes.
-        per_scene: trajectories chosen from each archive, at equal steps of ℓ.
+        views: observers of each scene, whose labels differ.
+        per_scene: trajectories chosen from each archive for each observer, at equal steps of ℓ.
         efficiency: among trajectories of nearly the same ℓ, one that is longer than the shortest by
             |ℓ| times this share of the straight line is chosen e times less often; so ℓ = 0 is the
             straight line, and no level takes a needless detour.
-        cells: the archive's cells along each axis; 0 means the default of the dimension.
-        observer: the observer of the scores and labels.
+        cells: the archive's cells along the straight line; 0 means 20 in 2D and 8 in 3D, coarser
+            than an archive that judges, as more scenes are worth more than exact labels.
+        candidates: most curves tried for an archive.
+        observer: its α, detour and label are those of all observers.
     """
 
     stream: str = "train"
+    regime: str = "training"
     scenes: int = 1000
-    per_scene: int = 129
+    views: int = 3
+    per_scene: int = 65
     efficiency: float = 0.1
     cells: int = 0
+    candidates: int = 24_576
     observer: Observer = field(default_factory=Observer)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         count("scenes", self.scenes)
+        count("views", self.views)
         count("per_scene", self.per_scene, low=3)
         if self.stream == "evaluation":
             raise InvalidInputError(
@@ -94,15 +159,16 @@ class DatasetConfig(SceneStream):
             raise InvalidInputError(
                 f"observer must be a legibility.Observer, got {self.observer!r}"
             )
-        object.__setattr__(self, "observer", self.observer.resolved(self.dim))
         if count("cells", self.cells, low=0) == 0:
-            object.__setattr__(self, "cells", DEFAULT_CELLS[self.dim])
+            object.__setattr__(self, "cells", _CELLS[self.dim])
         count("cells", self.cells, low=2)
+        count("candidates", self.candidates, low=4096)
         positive("efficiency", self.efficiency)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the manifest."""
-        return {**asdict(self), "goals": list(self.goals)}
+        content = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {**content, "goals": list(self.goals), "observer": self.observer.to_dict()}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> DatasetConfig:
@@ -110,13 +176,13 @@ class DatasetConfig(SceneStream):
         if strange := set(content) ^ {f.name for f in fields(cls)}:
             raise DatasetError(f"dataset settings missing or unknown: {sorted(strange)}")
         try:
-            return cls(**{**content, "observer": Observer(**content["observer"])})
+            return cls(**{**content, "observer": Observer.from_dict(content["observer"])})
         except (TypeError, InvalidInputError) as cause:
             raise DatasetError(f"observer or goals of a dataset are not ours: {cause}") from cause
 
     def for_validation(self) -> DatasetConfig:
-        """The same settings for 128 scenes of the validation stream."""
-        return replace(self, stream="validation", scenes=VALIDATION_SCENES)
+        """The same settings for 128 scenes of the validation stream, each with one observer."""
+        return replace(self, stream="validation", scenes=VALIDATION_SCENES, views=1)
 
 
 @dataclass(frozen=True)

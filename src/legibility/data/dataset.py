@@ -1,12 +1,14 @@
 """Labelled trajectories on disk: random scenes and a choice from their archives, flat along ℓ.
 
-A dataset is a folder with `manifest.json` and Parquet shards, a row a scene. Every scene has its
-seed, so the bytes are the same for any number of workers. Shards are written atomically, so an
-interrupted run resumes.
+A dataset is a folder with `manifest.json` and Parquet shards, a row for each observer of a scene.
+Every scene has its seed, so the bytes are the same for any number of workers. Shards are written
+atomically, so an interrupted run resumes.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +22,7 @@ from ..curves import NUM_WAYPOINTS, arc_length, path_curve
 from ..errors import InvalidInputError
 from ..files import at_home
 from ..intent.metrics import SCORE_POINTS
+from ..intent.observer import Observer
 from ..motion.archive import Archive
 from ..motion.bezier import bezier_trajectories
 from ..scene import Scene
@@ -38,64 +41,92 @@ def paths_of(archive: Archive) -> Array:
     return bezier_trajectories(archive.controls, NUM_WAYPOINTS + 2)
 
 
-@np.errstate(under="ignore")
-def select(
-    archive: Archive, num: int, efficiency: float, rng: np.random.Generator
-) -> dict[str, Array]:
-    """Choose `num` trajectories at equal steps of ℓ from −1 to 1, short ones rather than long.
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The trajectories of an archive as paths, to choose from for any observer.
 
     Scores and labels are those of the curve through a path's waypoints, which stands for the
-    trajectory; paths whose curve leaves the workspace are not chosen.
-
-    Returns:
-        `controls (num, 4, D)`, `waypoints (num, K, D)`, `scores (num,)`, `labels (num,)`.
+    trajectory; paths whose curve touches anything are chosen only if all do.
     """
-    paths = paths_of(archive)
-    curves = path_curve(paths, SCORE_POINTS)
-    keep = archive.scene.contains(curves).all(-1)
-    paths, curves, controls = paths[keep], curves[keep], archive.controls[keep]
-    scores = archive.observer.score(curves, archive.scene, archive.target)
-    labels = archive.label_of(scores)
-    detour = arc_length(curves) / np.linalg.norm(paths[0, -1] - paths[0, 0]) - 1
 
-    order = np.argsort(labels, kind="stable")
-    ranked = labels[order]
-    wanted = np.linspace(-1, 1, num)
-    # Candidates for a level: all within half a step, and four on either side at least.
-    centre = np.searchsorted(ranked, wanted)
-    low = np.minimum(np.searchsorted(ranked, wanted - 1 / num), np.maximum(centre - 4, 0))
-    high = np.maximum(np.searchsorted(ranked, wanted + 1 / num), np.minimum(centre + 4, len(order)))
-    chosen = np.empty(num, dtype=np.intp)
-    for i, (a, b) in enumerate(zip(low, high, strict=True)):
-        candidates = order[a:b]
-        excess = detour[candidates] - detour[candidates].min()
-        weights = np.exp(-excess / (efficiency * max(abs(wanted[i]), 1e-3)))
-        chosen[i] = rng.choice(candidates, p=weights / weights.sum())
-    return {
-        "controls": controls[chosen],
-        "waypoints": paths[chosen, 1:-1],
-        "scores": scores[chosen],
-        "labels": labels[chosen],
-    }
+    archive: Archive
+    controls: Array
+    paths: Array
+    curves: Array
+    lengths: Array
+
+    @classmethod
+    def of(cls, archive: Archive) -> Choice:
+        """The choice from `archive`."""
+        paths = paths_of(archive)
+        curves = path_curve(paths, SCORE_POINTS)
+        keep = archive.scene.feasible(curves, archive.target)
+        keep |= not keep.any()
+        return cls(
+            archive, archive.controls[keep], paths[keep], curves[keep], arc_length(curves[keep])
+        )
+
+    @np.errstate(under="ignore")
+    def select(
+        self, seen: Archive, num: int, efficiency: float, rng: np.random.Generator
+    ) -> dict[str, Array]:
+        """Choose `num` paths at equal steps of ℓ from −1 to 1, short ones rather than long.
+
+        Args:
+            seen: the archive for an observer.
+            num: number of paths.
+            efficiency: see `DatasetConfig`.
+            rng: source of randomness.
+
+        Returns:
+            `controls (num, 4, D)`, `waypoints (num, K, D)`, `scores (num,)`, `labels (num,)`.
+        """
+        scores = seen.observer.score(self.curves, seen.scene, seen.target)
+        labels = seen.label_of(scores)
+        detour = self.lengths / np.linalg.norm(self.paths[0, -1] - self.paths[0, 0]) - 1
+
+        order = np.argsort(labels, kind="stable")
+        ranked = labels[order]
+        wanted = np.linspace(-1, 1, num)
+        # Candidates for a level: all within half a step, and four on either side at least.
+        centre, size = np.searchsorted(ranked, wanted), len(order)
+        low = np.minimum(np.searchsorted(ranked, wanted - 1 / num), np.maximum(centre - 4, 0))
+        high = np.maximum(np.searchsorted(ranked, wanted + 1 / num), np.minimum(centre + 4, size))
+        chosen = np.empty(num, dtype=np.intp)
+        for i, (a, b) in enumerate(zip(low, high, strict=True)):
+            candidates = order[a:b]
+            excess = detour[candidates] - detour[candidates].min()
+            weights = np.exp(-excess / (efficiency * max(abs(wanted[i]), 1e-3)))
+            chosen[i] = rng.choice(candidates, p=weights / weights.sum())
+        return {
+            "controls": self.controls[chosen],
+            "waypoints": self.paths[chosen, 1:-1],
+            "scores": scores[chosen],
+            "labels": labels[chosen],
+        }
 
 
-def _row(config: DatasetConfig, index: int) -> dict[str, Any]:
-    archive = config.archive(index, config.observer, config.cells)
-    scene = archive.scene
+def _rows(config: DatasetConfig, index: int) -> Iterator[dict[str, Any]]:
+    """The rows of scene `index`, one for each observer."""
+    archive = config.archive(
+        index, config.observer, cells=config.cells, max_candidates=config.candidates
+    )
+    scene, choice = archive.scene, Choice.of(archive)
     rng = np.random.default_rng(stream_seed(config.stream, config.seed, index, "choice"))
-    chosen = select(archive, config.per_scene, config.efficiency, rng)
-    return {
-        "scene": index,
-        "start": scene.start,
-        "goals": scene.goals.ravel(),
-        "workspace": scene.workspace.ravel(),
-        "elites": len(archive),
-        "candidates": archive.num_candidates,
-        "coverage": archive.coverage,
-        "straight_score": archive.straight_score,
-        "score_at_label": archive.score_of(LABEL_KNOTS),
-        **{name: values.astype(np.float32).ravel() for name, values in chosen.items()},
-    }
+    for view in range(config.views):
+        observer = config.observer_of(index, scene, config.observer, view)
+        seen = archive.seen_by(observer) if view else archive
+        chosen = choice.select(seen, config.per_scene, config.efficiency, rng)
+        yield {
+            "scene": json.dumps(scene.to_dict()),
+            "observer": json.dumps(observer.to_dict()),
+            "elites": len(seen),
+            "candidates": seen.num_candidates,
+            "coverage": seen.coverage,
+            "anchor_score": seen.anchor_score,
+            "score_at_label": seen.score_of(LABEL_KNOTS),
+            **{name: values.astype(np.float32).ravel() for name, values in chosen.items()},
+        }
 
 
 def shard_names(config: DatasetConfig) -> list[str]:
@@ -105,7 +136,8 @@ def shard_names(config: DatasetConfig) -> list[str]:
 
 @np.errstate(under="ignore")
 def _shard(config: DatasetConfig, scenes: range) -> bytes:
-    return shard_bytes([_row(config, i) for i in scenes], config.to_dict())
+    rows = [row for i in scenes for row in _rows(config, i)]
+    return shard_bytes(rows, config.to_dict())
 
 
 def generate(
@@ -132,7 +164,8 @@ def generate(
     """
     folder = at_home(folder)
 
-    counts = {"scenes": config.scenes, "trajectories": config.scenes * config.per_scene}
+    rows = config.scenes * config.views
+    counts = {"scenes": config.scenes, "trajectories": rows * config.per_scene}
     make_shards(
         folder, _MANIFEST, config.to_dict(), shard_names(config), partial(_shard, config), counts,
         source=lambda i: range(i * SHARD, min((i + 1) * SHARD, config.scenes)),
@@ -143,24 +176,26 @@ def generate(
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """A dataset in memory; `S` scenes, `N` trajectories a scene.
+    """A dataset in memory; `S` pairs of scene and observer, `N` trajectories each.
 
     Attributes:
         config: its settings.
         digest: hash over all shards, which names the data in a model card; `[:n]` behind it means
             the first n scenes.
-        scenes: the S scenes; the target is goal 0 in each.
+        scenes: S, those of one archive side by side; the target is goal 0 in each.
+        observers: S.
         controls: `(S, N, 4, D)` float32 [m], cubic Béziers.
         waypoints: `(S, N, K, D)` float32 [m], between start and goal at equal arc length.
         scores: `(S, N)` float32, of the curve through start, waypoints and goal.
         labels: `(S, N)` float32.
         score_at_label: `(S, 65)` the scene's score at each of `LABEL_KNOTS`.
-        summary: `(S,)` arrays by name: elites, candidates, coverage, straight_score.
+        summary: `(S,)` arrays by name: elites, candidates, coverage, anchor_score.
     """
 
     config: DatasetConfig
     digest: str
     scenes: list[Scene]
+    observers: list[Observer]
     controls: np.ndarray
     waypoints: np.ndarray
     scores: np.ndarray
@@ -183,33 +218,40 @@ class Dataset:
         Raises:
             InvalidInputError: the dataset has fewer.
         """
-        if count("scenes", num) > len(self.scenes):
-            raise InvalidInputError(f"the data have {len(self.scenes)} scenes, {num} are asked")
-        if num == len(self.scenes):
+        if count("scenes", num) > self.config.scenes:
+            raise InvalidInputError(f"the data have {self.config.scenes} scenes, {num} are asked")
+        if num == self.config.scenes:
             return self
-        arrays = ("scenes", "controls", "waypoints", "scores", "labels", "score_at_label")
+        arrays = (
+            "scenes", "observers", "controls", "waypoints", "scores", "labels", "score_at_label",
+        )  # fmt: skip
+        rows = num * self.config.views
         return Dataset(
             config=replace(self.config, scenes=num),
             digest=f"{self.digest}[:{num}]",
-            summary={name: values[:num] for name, values in self.summary.items()},
-            **{name: getattr(self, name)[:num] for name in arrays},
+            summary={name: values[:rows] for name, values in self.summary.items()},
+            **{name: getattr(self, name)[:rows] for name in arrays},
         )
 
     @classmethod
     def _of_table(cls, content: dict[str, Any], digest: str, table: pa.Table) -> Dataset:
         """The dataset of a manifest's configuration, and the rows of its shards."""
         config = DatasetConfig.from_dict(content)
-        dim, size, num = config.dim, config.scenes, config.per_scene
+        dim, size, num = config.dim, config.scenes * config.views, config.per_scene
 
         def dense(name: str, *shape: int) -> np.ndarray:
             return flat(table[name]).reshape(size, *shape)
 
-        goals = [np.asarray(g).reshape(-1, dim) for g in table["goals"].to_pylist()]
-        starts, corners = dense("start", dim), dense("workspace", 2, dim)
+        scenes: dict[str, Scene] = {}
+        for text in (texts := table["scene"].to_pylist()):
+            scenes[text] = scenes.get(text) or Scene.from_dict(json.loads(text))
         return cls(
             config=config,
             digest=digest,
-            scenes=[Scene(*args) for args in zip(starts, goals, corners, strict=True)],
+            scenes=[scenes[text] for text in texts],
+            observers=[
+                Observer.from_dict(json.loads(text)) for text in table["observer"].to_pylist()
+            ],
             controls=dense("controls", num, 4, dim),
             waypoints=dense("waypoints", num, NUM_WAYPOINTS, dim),
             scores=dense("scores", num),
@@ -217,6 +259,6 @@ class Dataset:
             score_at_label=dense("score_at_label", len(LABEL_KNOTS)),
             summary={
                 name: table[name].to_numpy()
-                for name in ("elites", "candidates", "coverage", "straight_score")
+                for name in ("elites", "candidates", "coverage", "anchor_score")
             },
         )

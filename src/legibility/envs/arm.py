@@ -1,12 +1,14 @@
 """The Franka Panda in both simulators: its limits, its task space and the events counted."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array
+from ..checks import Array, finite_array
+from ..errors import InvalidInputError
 from .block_reach import BlockReachVector
 
 JOINT_LIMITS = np.array([
@@ -37,6 +39,7 @@ class ArmVector(BlockReachVector):
     metadata = {**BlockReachVector.metadata, "render_fps": 25}  # noqa: RUF012
     dim = 3
     max_displacement = 0.02
+    block_radius = BLOCK / 2 * 3**0.5
     counted = (
         "table_contacts", "self_collisions", "joint_limit_violations", "velocity_limit_violations",
     )  # fmt: skip
@@ -60,3 +63,29 @@ class ArmVector(BlockReachVector):
         if alive.any():
             reached[alive] = self._drive(np.flatnonzero(alive), targets[alive])
         return reached, wall
+
+    def arm_contacts(
+        self, trajectories: ArrayLike, indices: Sequence[int] | None = None
+    ) -> NDArray[np.int64]:
+        """See `BlockReachVector.arm_contacts`.
+
+        Both simulators use the model and the inverse kinematics of MuJoCo, so that obstacles need
+        the extra `panda`. The base, which never moves, does not count.
+
+        Raises:
+            InvalidInputError: the trajectories or their number are wrong.
+            MissingExtraError: MuJoCo is not installed.
+        """
+        curves = finite_array("trajectories", trajectories, ndim=3, last=3)
+        chosen = list(range(self.num_envs)) if indices is None else list(indices)
+        if len(chosen) != len(curves):
+            raise InvalidInputError(
+                f"trajectories must be one for each of {len(chosen)} robots, got {len(curves)}"
+            )
+        contacts = np.zeros(len(curves), dtype=np.int64)
+        for row, (index, curve) in enumerate(zip(chosen, curves, strict=True)):
+            if obstacles := self.scenes[index].obstacles:
+                from .panda_model import arm_contacts
+
+                contacts[row] = arm_contacts(obstacles, curve)
+        return contacts

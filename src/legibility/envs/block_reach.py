@@ -1,6 +1,7 @@
 """The block reaching task for any robot: scenes, targets, success and disturbances, in metres."""
 
 import copy
+import dataclasses
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -10,12 +11,13 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, bounded, count, finite_array, for_each, random_seed, target_index
+from ..checks import Array, bounded, count, finite_array, for_each, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
 from ..scene import DEFAULT_WORKSPACE, Scene
 from . import MAX_EPISODE_STEPS
+from .guard import Barriers
 
 _OPTIONS = ("scene", "target", "num_goals", "noise", "push", "shift")
 _RADIUS = 0.02
@@ -56,6 +58,9 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         done: `(B,)` bool, whether the episode ended by success or by the limit on steps.
         success: `(B,)` bool, whether it ended by success.
         wall_contact: `(B,)` bool, whether a wall stopped the robot in the last step.
+        contact: `(B,)` bool, whether the last step led into an obstacle or within the scene's
+            `goal_radius` of a block that is not the target; nothing stops it there.
+        barriers: these obstacles and blocks, for `safe_actions`; None if there are none.
         counts: events of the episode by name, `(B,)` each.
         hidden: properties of the robots that no observation shows, by name, `(B,)` each.
     """
@@ -68,6 +73,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
     dim: ClassVar[int]
     max_displacement: ClassVar[float]
     """Largest commanded displacement of a step along each axis [m]."""
+    block_radius: ClassVar[float]
+    """`goal_radius` of the scenes that are drawn: from a block's centre to its corners [m]."""
     lag_range: ClassVar[tuple[float, float]] = (0.0, 0.3)
     """Least and largest share of its last displacement by which a stopped robot moves on."""
     at_once: ClassVar[int] = 256
@@ -114,7 +121,9 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self.scenes: list[Scene] = []
         self.positions, self.velocities, self.commands = np.zeros((3, num_envs, self.dim))
         self.targets, self.steps = np.zeros((2, num_envs), dtype=np.int64)
-        self.done, self.success, self.wall_contact, self._due = np.zeros((4, num_envs), dtype=bool)
+        self.barriers: Barriers | None = None
+        self.done, self.success, self._due = np.zeros((3, num_envs), dtype=bool)
+        self.wall_contact, self.contact = np.zeros((2, num_envs), dtype=bool)
         self.counts = {name: np.zeros(num_envs, dtype=np.int64) for name in self.counted}
         self.hidden = {name: np.ones(num_envs) for name in self.drawn}
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
@@ -181,8 +190,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
 
         scenes: list[Any] = self.scenes or [None] * self.num_envs
         self.scenes = [episodes[i][1].scene if i in episodes else s for i, s in enumerate(scenes)]
-        for state in (self.velocities, self.commands, self.steps, self.done, self.success,
-                      self.wall_contact, self._travelled, *self.counts.values()):  # fmt: skip
+        events = self.wall_contact, self.contact, self.done, self.success, *self.counts.values()
+        for state in (self.velocities, self.commands, self.steps, self._travelled, *events):
             state[mask] = 0
         for i, (rng, episode) in episodes.items():
             self._rngs[i], self.targets[i] = rng, episode.target
@@ -191,6 +200,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             for name, value in episode.hidden.items():
                 self.hidden[name][i] = value
             self.positions[i] = self._place(i, episode.scene.start)
+        self.barriers = Barriers.of(self.scenes, self.targets)
         self._goals = np.stack([self._padded(scene) for scene in self.scenes])
         self._present = np.arange(self.max_goals) < [[s.num_goals] for s in self.scenes]
         return self._observation(), self._info(np.zeros(self.num_envs, dtype=bool))
@@ -225,10 +235,11 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             if num_goals is None:
                 num_goals = int(rng.integers(2, min(6, self.max_goals) + 1))
             scene = Scene.random(rng, dim=self.dim, num_goals=num_goals, target=target)
+            scene = dataclasses.replace(scene, goal_radius=self.block_radius)
         self._check_scene(scene)
         return _Episode(
             scene,
-            target_index(target, scene.num_goals),
+            scene.check_target(target),
             hidden,
             bounded("noise", options.get("noise", 0.0), 0, self.max_displacement),
             bounded("push", options.get("push", 0.0), 0) * push,
@@ -272,6 +283,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self.commands = actions.copy()
         reached, self.wall_contact = self._move(command, noise, alive)
         self.velocities = reached - self.positions
+        if self.barriers is not None:
+            self.contact = alive & self.barriers.touched(self.positions, self.velocities)
         self._travelled += np.linalg.norm(self.velocities, axis=-1)
         self.positions = reached
         disturbed = self._disturbed() & alive
@@ -302,7 +315,21 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         self._check_ready()
         if count("index", index, low=0) >= self.num_envs:
             raise InvalidInputError(f"index must be at most {self.num_envs - 1}, got {index}")
-        self.targets[index] = target_index(target, self.scenes[index].num_goals)
+        self.targets[index] = self.scenes[index].check_target(target)
+        self.barriers = Barriers.of(self.scenes, self.targets)
+
+    def arm_contacts(
+        self, trajectories: ArrayLike, indices: Sequence[int] | None = None
+    ) -> NDArray[np.int64]:
+        """Number of points, 1 cm apart, at which the whole arm touches an obstacle, `(N,)`.
+
+        Found by inverse kinematics alone; 0 for robots without an arm.
+
+        Args:
+            trajectories: `(N, T, D)` [m], of the end effector.
+            indices: `(N,)`, the environments whose obstacles count; all if not given.
+        """
+        return np.zeros(len(np.asarray(trajectories)), dtype=np.int64)
 
     def _disturbed(self) -> NDArray[Any]:
         """Where a push or a shift is due: half the straight line's length is travelled."""
@@ -317,9 +344,12 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         goals = scene.goals.copy()
         goals[target] = np.clip(goals[target] + self._shift[index], *self.workspace)
         try:
-            self.scenes[index] = Scene(scene.start, goals, scene.workspace)
-        except InvalidSceneError:  # another block is in the same corner: the target stays
+            moved = dataclasses.replace(scene, goals=goals)
+            moved.check_target(target)
+        except InvalidSceneError:  # a block or an obstacle is in the new place: the target stays
             return
+        self.scenes[index] = moved
+        self.barriers = Barriers.of(self.scenes, self.targets)
         self._goals[index] = self._padded(self.scenes[index])
 
     def _padded(self, scene: Scene) -> Array:
@@ -344,7 +374,7 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             "is_success": self.success.copy(),
             "distance": self._distance(),
             "speed": np.linalg.norm(self.velocities, axis=-1) * self.metadata["render_fps"],
-            "wall_contact": self.wall_contact.copy(),
+            **{name: getattr(self, name).copy() for name in ("wall_contact", "contact")},
             "disturbed": disturbed,
             **{name: number.copy() for name, number in self.counts.items()},
         }

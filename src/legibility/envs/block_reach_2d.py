@@ -13,6 +13,7 @@ class BlockReach2DVector(BlockReachVector):
 
     dim = 2
     max_displacement = 0.05
+    block_radius = 0.03 * 2**0.5
     drawn = {"gain": (0.65, 0.85), "lag": BlockReachVector.lag_range}  # noqa: RUF012
     allowed = {"gain": (0.0, 1.0)}  # noqa: RUF012
 
@@ -39,7 +40,8 @@ class BlockReach2D(BlockReach):
 
     ## Description
     The workspace is the unit square with a margin, `[-0.1, 1.1]²` in metres, seen from above. The
-    observer does not know which block is the target and infers it from the motion.
+    observer does not know which block is the target and infers it from the motion. Obstacles of the
+    scene are drawn, and contacts with them and with the other blocks are counted, but stop nothing.
 
     ## Action Space
     `Box(-0.05, 0.05, (2,), float64)`: a commanded displacement [m] for one control step (0.05 s).
@@ -60,7 +62,7 @@ class BlockReach2D(BlockReach):
 
     ## Starting State
     A scene of `Scene.random`: start and 2 to 6 blocks anywhere, at least 0.12 of the diagonal
-    apart. The robot is at rest.
+    apart, with the blocks' size as its `goal_radius`. The robot is at rest.
 
     ## Episode End
     * Termination: success. The end effector is within 0.02 m of the target's centre and moved by
@@ -69,8 +71,9 @@ class BlockReach2D(BlockReach):
     * Truncation: 400 steps.
 
     `info` has `is_success`, `distance` [m], `speed` [m/s], `wall_contact` (without noise the motion
-    would have left the workspace; the wall stopped it), `disturbed` (a push or a shift in this
-    step).
+    would have left the workspace; the wall stopped it), `contact` (this step led into an obstacle,
+    or within the scene's `goal_radius` of a block that is not the target), `disturbed` (a push or a
+    shift in this step).
 
     ## Arguments
     `reset(seed=…, options={…})` takes
@@ -81,7 +84,7 @@ class BlockReach2D(BlockReach):
     * `noise`: standard deviation [m] of each step's displacement; 0 by default.
     * `push`: once half the straight line's length is travelled, the robot is displaced by this
       distance [m] in a random direction, at most to the wall; 0 by default.
-    * `shift`: the same for the target block, which stays if another block is in its new place.
+    * `shift`: the same for the target block, which stays if something is in its new place.
     * `gain`, `lag`: γ and λ; drawn by default.
 
     ## Version History

@@ -1,4 +1,4 @@
-"""One interface to one environment or a vector of them, and the last check of their actions."""
+"""One interface to one environment or a vector of them."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -6,12 +6,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..checks import Array, target_index
+from ..checks import Array
 from ..errors import InvalidInputError, LegibilityError
 from ..scene import Scene
 from .block_reach import BlockReachVector
+from .guard import safe_actions
 
 _ADVICE = "make it with gymnasium.make_vec(…, vectorization_mode='vector_entry_point')"
 
@@ -75,6 +76,7 @@ class Fleet:
     positions = _gathered("positions", "`(B, D)` [m].")
     joint_angles = _gathered("joint_angles", "`(B, J)` [rad]; J = 0 for a point in 2-D.")
     wall_contacts = _gathered("wall_contact", "`(B,)`, whether a wall stopped the last step.")
+    contacts = _gathered("contact", "`(B,)`, whether the last step touched an obstacle or a block.")
 
     @property
     def goals(self) -> Array:
@@ -90,12 +92,32 @@ class Fleet:
     def set_targets(self, targets: Sequence[Any]) -> None:
         """Set the intended goals `(B,)`; an invalid index raises and changes nothing."""
         indices = [
-            target_index(target, scene.num_goals)
-            for scene, target in zip(self.scenes, targets, strict=True)
+            scene.check_target(target) for scene, target in zip(self.scenes, targets, strict=True)
         ]
         places = [(part, i) for part in self._parts for i in range(part.num_envs)]
         for (part, i), index in zip(places, indices, strict=True):
             part.set_target(i, index)
+
+    def safe(self, actions: Array, positions: Array, velocities: Array) -> Array:
+        """`safe_actions` for all robots, `(B, D)` [m]."""
+        ends = np.cumsum([part.num_envs for part in self._parts])[:-1]
+        parts = zip(
+            self._parts, *(np.split(x, ends) for x in (actions, positions, velocities)), strict=True
+        )
+        return np.concatenate([
+            safe_actions(*robots, self.workspace, self.limit, self.lag, part.barriers)
+            for part, *robots in parts
+        ])  # fmt: skip
+
+    def arm_contacts(self, trajectories: Array, rows: Sequence[int]) -> NDArray[np.int64]:
+        """How often the whole arms of robots `rows (N,)` touch obstacles, `(N,)`.
+
+        See `BlockReachVector.arm_contacts` for `trajectories (N, T, D)` [m].
+        """
+        places = [(part, i) for part in self._parts for i in range(part.num_envs)]
+        pairs = zip(trajectories, rows, strict=True)
+        touching = [places[row][0].arm_contacts(t[None], [places[row][1]])[0] for t, row in pairs]
+        return np.array(touching, dtype=np.int64)
 
     def step(
         self, actions: Array, active: NDArray[np.bool_]
@@ -167,35 +189,3 @@ def _time_limits(env: Any) -> Array:
         return np.array(np.inf)  # which ends its episodes itself
     specs = [single.spec for single in getattr(env.unwrapped, "envs", [env])]
     return np.array([(spec and spec.max_episode_steps) or np.inf for spec in specs])
-
-
-def safe_actions(
-    actions: ArrayLike,
-    positions: Array,
-    velocities: Array,
-    workspace: Array,
-    limit: float,
-    lag: float,
-) -> Array:
-    """Displacements that are safe to send, `(..., D)` [m].
-
-    A stopped actuator of lag λ moves on by λ/(1 − λ) of its last displacement. Both from there and
-    from the present position (the lag may be 0) the action must stay inside the workspace. A robot
-    that starts at rest, receives only such actions and realises any share of them from 0 to 1 never
-    leaves it.
-
-    Args:
-        actions: `(..., D)` [m], wanted displacements; NaN becomes 0.
-        positions: `(..., D)` [m], present positions of the robots.
-        velocities: `(..., D)` [m], their displacements in the last step.
-        workspace: `(2, D)` [m], low and high corner.
-        limit: largest displacement along each axis [m].
-        lag: λ in [0, ½], the largest lag that the actuator may have.
-    """
-    wanted = np.nan_to_num(np.asarray(actions, dtype=np.float64))  # ±inf becomes ±1.8e308
-    # Scaled, not clipped: a long step keeps its direction.
-    wanted = wanted * (limit / np.maximum(np.abs(wanted).max(axis=-1, keepdims=True), limit))
-    low, high = workspace
-    rest = positions + lag / (1 - lag) * velocities
-    wanted = np.clip(wanted, low - np.minimum(rest, positions), high - np.maximum(rest, positions))
-    return np.clip(wanted, -limit, limit)

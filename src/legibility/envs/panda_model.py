@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from ..checks import Array
+from ..curves import arc_length, resample
 from ..errors import MissingExtraError
+from ..obstacles import Ball, Box, Obstacle
 from .arm import BASE, HOME
 
 _SHOULDER = np.array([BASE[0], BASE[1], BASE[2] + 0.333])
@@ -27,6 +29,9 @@ JOINT_MARGIN = 0.02
 """Distance of the joints from their limits [rad]."""
 
 _TOLERANCE = 1e-7
+
+_STEP = 0.01
+"""Distance between the points at which a trajectory is checked for contacts [m]."""
 
 
 def import_mujoco(module: str = "mujoco") -> Any:
@@ -56,14 +61,40 @@ def specification() -> Any:
     return import_mujoco().MjSpec.from_file(str(Path(__file__).with_name("panda.xml")))
 
 
-@functools.cache
-def physics() -> Any:
-    """The arm on its table as an `MjModel` of primitive shapes, shared and never changed."""
+@functools.lru_cache(maxsize=32)
+def physics(obstacles: tuple[Obstacle, ...] = ()) -> Any:
+    """The arm on its table as an `MjModel` of primitive shapes, shared and never changed.
+
+    The geoms of `obstacles` are named `obstacle0` and so on.
+    """
     spec = specification()
     for geom in list(spec.geoms):
         if geom.group == 2:
             spec.delete(geom)
+    for number, obstacle in enumerate(obstacles):
+        form, size, pose = solid_geom(obstacle)
+        spec.worldbody.add_geom(
+            name=f"obstacle{number}", type=form, size=size, pos=pose[:3, 3],
+            quat=_quaternion(pose[:3, :3]),
+        )  # fmt: skip
     return spec.compile()
+
+
+def solid_geom(obstacle: Obstacle) -> tuple[Any, Array, Array]:
+    """Type, size `(3,)` [m] and pose `(4, 4)` in the world of an obstacle as a geom."""
+    forms, pose = import_mujoco().mjtGeom, np.eye(4)
+    assert isinstance(obstacle, Ball | Box)
+    pose[:3, 3] = obstacle.center
+    if isinstance(obstacle, Ball):
+        return forms.mjGEOM_SPHERE, np.array([obstacle.radius, 0, 0]), pose
+    pose[:3, :3] = obstacle.rotation
+    return forms.mjGEOM_BOX, obstacle.size / 2, pose
+
+
+def _quaternion(rotation: Array) -> Array:
+    quaternion = np.zeros(4)
+    import_mujoco().mju_mat2Quat(quaternion, rotation.ravel())
+    return quaternion
 
 
 class Kinematics:
@@ -131,6 +162,39 @@ class Kinematics:
 
         solution = qpsolvers.solve_problem(problem, solver="daqp").x
         return np.zeros_like(angles) if solution is None else solution
+
+
+@functools.cache
+def _shared_kinematics() -> Kinematics:
+    return Kinematics()
+
+
+def arm_contacts(obstacles: tuple[Obstacle, ...], trajectory: Array) -> int:
+    """Number of points at which an arm that follows a trajectory touches an obstacle.
+
+    The grasp point follows `trajectory (T, 3)` [m] by inverse kinematics, 1 cm at a time. All links
+    that move count, with the shapes that collide in the simulation.
+    """
+    mujoco, model, kinematics = import_mujoco(), physics(obstacles), _shared_kinematics()
+    data = mujoco.MjData(model)
+    solid = np.array(
+        [name.startswith("obstacle") for name in map(_name(model), range(model.ngeom))]
+    )
+    number = int(np.ceil(arc_length(trajectory) / _STEP)) + 1
+    touching, angles = 0, kinematics.solve(trajectory[0])
+    for point in resample(trajectory, max(2, number)):
+        angles = angles + kinematics.step(angles, point)
+        data.qpos = angles
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        pairs, gaps = data.contact.geom[: data.ncon], data.contact.dist[: data.ncon]
+        touching += bool((solid[pairs].any(-1) & (gaps < 0)).any())
+    return touching
+
+
+def _name(model: Any) -> Any:
+    return lambda number: model.geom(number).name
 
 
 class Simulation:

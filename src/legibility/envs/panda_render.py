@@ -1,4 +1,4 @@
-"""The picture of the Franka Panda at its table, with blocks and trajectories as tubes."""
+"""The picture of the Franka Panda at its table, with blocks, obstacles and trajectories."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from PIL import Image, ImageColor, ImageDraw
 
 from ..checks import Array, count
 from ..errors import InvalidInputError
+from ..obstacles import Box
 from ..scene import Scene
 from .arm import BLOCK
-from .colors import GOALS, INK
-from .panda_model import import_mujoco, physics, specification
+from .colors import GOALS, INK, OBSTACLE
+from .panda_model import import_mujoco, physics, solid_geom, specification
 
 _STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
 _SMOOTH, _FINE = 2, 3
@@ -57,10 +58,10 @@ def arm_image(
     trails: Iterable[Trail] = (),
     size: tuple[int, int] = (480, 480),
 ) -> NDArray[np.uint8]:
-    """The arm among a scene's blocks, `(H, W, 3)`.
+    """The arm among a scene's blocks and obstacles, `(H, W, 3)`.
 
     A block has the colour of its index, a ring marks the target, the support of a stacked block is
-    grey. Without OpenGL it is a plain drawing, and a warning says so once.
+    grey, an obstacle violet grey. Without OpenGL it is a plain drawing, and a warning says so once.
 
     Args:
         scene: the current scene.
@@ -72,19 +73,19 @@ def arm_image(
     width, height = (
         count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
     )
-    boxes, tubes = list(_blocks(scene)), list(trails)
+    solids, tubes = [*_blocks(scene), *_obstacles(scene)], list(trails)
     if target is not None:
         turn = np.linspace(0, 2 * np.pi, 49)
         circle = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
         middle = scene.target(target) - [0, 0, BLOCK / 2 - 0.002]
         tubes.append(Trail(middle + _RING * circle, _rgba(INK), 0.0016))
-    pieces = len(boxes) + sum(len(tube[0]) - 1 for tube in tubes)
+    pieces = len(solids) + sum(len(tube[0]) - 1 for tube in tubes)
     if pieces > _MAX_SHAPES:
         raise InvalidInputError(
-            f"blocks and trails must be at most {_MAX_SHAPES} pieces, got {pieces}"
+            f"blocks, obstacles and trails must be at most {_MAX_SHAPES} pieces, got {pieces}"
         )
     renderer = _renderer()
-    shapes = _shapes(_looks() if renderer else physics(), angles, boxes, tubes)
+    shapes = _shapes(_looks() if renderer else physics(), angles, solids, tubes)
     if renderer is None:
         return _sketch(shapes, width, height)
     return renderer.draw(shapes, width, height)
@@ -94,22 +95,40 @@ def _rgba(color: str) -> tuple[float, ...]:
     return (*(channel / 255 for channel in ImageColor.getrgb(color)), 1.0)
 
 
-def _blocks(scene: Scene) -> Iterator[tuple[Array, Sequence[float], Sequence[float]]]:
-    """Centre, half edges and colour of the goals' blocks and of those that support them."""
+class _Solid(NamedTuple):
+    """A geom: its type, size `(3,)` [m], pose `(4, 4)` and colour."""
+
+    form: Any
+    size: Array
+    pose: Array
+    rgba: Sequence[float]
+
+
+def _obstacles(scene: Scene) -> Iterator[_Solid]:
+    for obstacle in scene.obstacles:
+        yield _Solid(*solid_geom(obstacle), _rgba(OBSTACLE))
+
+
+def _blocks(scene: Scene) -> Iterator[_Solid]:
+    """The goals' blocks and those that support them."""
     half = BLOCK / 2
+
+    def block(center: Array, size: Sequence[float], rgba: Sequence[float]) -> _Solid:
+        return _Solid(*solid_geom(Box(center, 2 * np.array(size))), rgba)
+
     for index, goal in enumerate(scene.goals):
-        yield goal, (half, half, half), _rgba(GOALS[index % len(GOALS)])
+        yield block(goal, (half, half, half), _rgba(GOALS[index % len(GOALS)]))
         bottom = goal[2] - half
         while bottom > 1e-3:  # the lowest block is cut to the room that is left
             height = min(BLOCK, bottom)
             # Slightly slimmer, so that it hides no goal's block in the same place.
             edges = 0.95 * half, 0.95 * half, height / 2
-            yield np.array([*goal[:2], bottom - height / 2]), edges, _STACK
+            yield block(np.array([*goal[:2], bottom - height / 2]), edges, _STACK)
             bottom -= height
 
 
-def _shapes(model: Any, angles: Array, boxes: Iterable[Any], tubes: Iterable[Trail]) -> Any:
-    """The arm, the boxes and the tubes as MuJoCo's `MjvScene`, which needs no OpenGL."""
+def _shapes(model: Any, angles: Array, solids: Iterable[_Solid], tubes: Iterable[Trail]) -> Any:
+    """The arm, the solids and the tubes as MuJoCo's `MjvScene`, which needs no OpenGL."""
     mujoco = import_mujoco()
     data, shapes = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=_MAX_SHAPES + 500)
     data.qpos[:] = angles
@@ -122,21 +141,21 @@ def _shapes(model: Any, angles: Array, boxes: Iterable[Any], tubes: Iterable[Tra
     mujoco.mjv_updateScene(model, data, option, None, view, everything, shapes)
     geoms = shapes.geoms
 
-    def add(form: Any, category: Any, centre: Array, size: Sequence[float], rgba: Any) -> Any:
+    def add(solid: _Solid, category: Any) -> Any:
         geom = geoms[shapes.ngeom]
         shapes.ngeom += 1
-        color = np.array(rgba, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, form, np.array(size), centre, np.eye(3).ravel(), color)
+        place, turn = solid.pose[:3, 3], solid.pose[:3, :3].ravel()
+        color = np.array(solid.rgba, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, solid.form, solid.size, place, turn, color)
         geom.category, geom.specular, geom.shininess = category, 0.2, 0.3
         return geom
 
-    form, category = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtCatBit.mjCAT_DYNAMIC
-    for centre, size, rgba in boxes:
-        add(form, category, centre, size, rgba)
+    for solid in solids:
+        add(solid, mujoco.mjtCatBit.mjCAT_DYNAMIC)
     form, category = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtCatBit.mjCAT_DECOR  # no shadow
     for points, rgba, radius in tubes:
         for start, end in itertools.pairwise(np.asarray(points, dtype=np.float64)):
-            geom = add(form, category, start, (radius, radius, radius), rgba)
+            geom = add(_Solid(form, np.full(3, radius), np.eye(4), rgba), category)
             mujoco.mjv_connector(geom, form, radius, start, end)
     return shapes
 
@@ -265,7 +284,7 @@ def _split(text: str) -> dict[str, dict[str, Any]]:
 
 
 def _sketch(shapes: Any, width: int, height: int) -> NDArray[np.uint8]:
-    """Draw capsules and boxes without OpenGL: the table first, then the far ones."""
+    """Draw capsules, spheres and boxes without OpenGL: the table first, then the far ones."""
     mujoco = import_mujoco()
     view = mujoco.mjv_averageCamera(*shapes.camera)
     eye, forward, up = map(np.array, (view.pos, view.forward, view.up))
@@ -293,6 +312,12 @@ def _sketch(shapes: Any, width: int, height: int) -> NDArray[np.uint8]:
                 pen.line(ends.ravel().tolist(), fill, max(1, round(2 * thick)))
                 for end in ends:
                     pen.ellipse([*(end - thick), *(end + thick)], fill)
+            continue
+        if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE:
+            ((x, y),), scale = place(centre[None])
+            for share, light in ((1.0, 0.72), (0.85, 1.0)):
+                thick = geom.size[0] * scale[0, 0] * share
+                pen.ellipse([x - thick, y - thick, x + thick, y + thick], _color(rgb * light))
             continue
         for axis, side in itertools.product(range(3), (-1, 1)):
             normal = side * turn[:, axis]

@@ -6,8 +6,9 @@ from PIL import Image, ImageDraw
 
 from ..checks import Array
 from ..errors import OutputError
+from ..obstacles import Ball, Box, Obstacle
 from ..scene import Scene
-from .colors import GOALS, INK, MUTED
+from .colors import GOALS, INK, MUTED, OBSTACLE
 
 _SMOOTH = 4
 """The picture is drawn this many times larger and reduced, for smooth edges."""
@@ -16,6 +17,7 @@ _SIZE = 480 * _SMOOTH
 _GRID = 0.1  # [m]
 # In the default workspace a block is 0.06 m wide and the end effector's radius is 0.02 m.
 _MARGIN, _BLOCK, _RING, _EFFECTOR = (round(share * _SIZE) for share in (0.06, 0.022, 0.04, 0.0147))
+_TURN = np.linspace(0, 2 * np.pi, 97)[:-1]
 _LINE = round(0.0045 * _SIZE)
 _PAPER, _OUTSIDE, _LINES = "#ffffff", "#f4f4f6", "#ececef"
 
@@ -24,7 +26,7 @@ def draw_scene(scene: Scene, target: int, position: Array) -> NDArray[np.uint8]:
     """Draw a 2-D scene from above, `(H, W, 3)`, y up; the longer side has 480 pixels.
 
     A block has the colour of its index, the ring marks the target, the white disc is the end
-    effector. The lines of the grid are 0.1 m apart.
+    effector, obstacles are grey. The lines of the grid are 0.1 m apart.
 
     Args:
         scene: the current scene.
@@ -34,8 +36,11 @@ def draw_scene(scene: Scene, target: int, position: Array) -> NDArray[np.uint8]:
     low, high = scene.workspace
     scale = (_SIZE - 2 * _MARGIN) / (high - low).max()
 
+    def pixel(point: Array) -> tuple[float, float]:
+        return _MARGIN + scale * (point[0] - low[0]), _MARGIN + scale * (high[1] - point[1])
+
     def box(point: Array, radius: float) -> tuple[float, float, float, float]:
-        x, y = _MARGIN + scale * (point[0] - low[0]), _MARGIN + scale * (high[1] - point[1])
+        x, y = pixel(point)
         return x - radius, y - radius, x + radius - 1, y + radius - 1
 
     right, bottom = (_MARGIN + scale * (high - low)).round().astype(int).tolist()
@@ -49,12 +54,24 @@ def draw_scene(scene: Scene, target: int, position: Array) -> NDArray[np.uint8]:
     for y in np.arange(first[1], last[1] + 1) * _GRID:
         _, top, _, end = box(np.array([0.0, y]), _SMOOTH / 2)
         draw.rectangle((_MARGIN, top, right, end), _LINES)
+    for obstacle in scene.obstacles:
+        draw.polygon([pixel(point) for point in _outline(obstacle)], OBSTACLE)
     draw.rectangle((_MARGIN, _MARGIN, right, bottom), outline=MUTED, width=_SMOOTH)
     for index, goal in enumerate(scene.goals):
         draw.rounded_rectangle(box(goal, _BLOCK), _BLOCK / 4, GOALS[index % len(GOALS)])
     draw.ellipse(box(scene.goals[target], _RING), outline=INK, width=_LINE)
     draw.ellipse(box(position, _EFFECTOR), _PAPER, INK, _LINE)
     return np.array(image.reduce(_SMOOTH))
+
+
+def _outline(obstacle: Obstacle) -> Array:
+    """The corners of a 2-D obstacle, or many points around a disc, `(N, 2)` [m]."""
+    if isinstance(obstacle, Ball):
+        return obstacle.center + obstacle.radius * np.stack([np.cos(_TURN), np.sin(_TURN)], -1)
+    if isinstance(obstacle, Box):
+        signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return obstacle.center + signs * obstacle.size / 2 @ obstacle.rotation.T
+    return obstacle.vertices
 
 
 class Window:

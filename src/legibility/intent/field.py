@@ -19,7 +19,6 @@ from ..checks import (
 )
 from ..errors import InvalidInputError
 
-
 _FARTHEST = 1e100  # beyond it only the direction counts
 
 
@@ -123,6 +122,31 @@ class Field:
         """
         logits = self._logits(x, target_index(target, self.num_goals))
         return potential_of_odds([o for g, o in enumerate(logits) if g != target])
+
+    @np.errstate(under="ignore")
+    def potential_and_gradient(self, x: Array, target: int) -> tuple[Array, Array]:
+        """φ `(...)` and its gradient `(..., D)` [1/m] at points `(..., D)` [m] in or near a room.
+
+        For optimisers: a few times faster than `potential`, unchecked, less exact far away.
+        """
+        logits = (x - self._origin) @ self._slope + self._intercept
+        pull = self._slope.T
+        if self.beta:
+            offset = x[..., None, :] - self.goals
+            apart = np.sqrt(np.einsum("...d,...d->...", offset, offset))
+            logits = logits - self.beta * apart
+            pull = pull - offset * (self.beta / np.maximum(apart, 1e-300))[..., None]
+        odds = logits - logits[..., target, None]
+        most = odds.max(-1)
+        likely = np.exp(odds - most[..., None])
+        total = likely.sum(-1)
+        # Where the target is likely the logarithm of the total is too coarse.
+        likely[..., target] = 0
+        against = likely.sum(-1)
+        potential = np.where(most > 0, most + np.log(total), np.log1p(against))
+        posterior = likely / total[..., None]
+        posterior[..., target] = -against / total
+        return potential, (posterior[..., None, :] @ pull)[..., 0, :]
 
     def _logits(self, x: ArrayLike, target: int | None = None) -> list[Array]:
         """`log P(g) − E_g(x)` of each goal, `(...)`, less that of `target` or a common term."""

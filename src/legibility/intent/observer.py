@@ -73,7 +73,9 @@ class Observer:
         for name, allowed in (("kind", KINDS), ("label", LABELS)):
             value = getattr(self, name)
             if not isinstance(value, str) or value not in allowed:
-                raise InvalidInputError(f"{name} must be one of {', '.join(allowed)}, got {value!r}")
+                raise InvalidInputError(
+                    f"{name} must be one of {', '.join(allowed)}, got {value!r}"
+                )
         if not isinstance(self.prior, str):
             weights = finite_array("prior", self.prior, ndim=1)
             prior_array(weights, len(weights))

@@ -1,7 +1,7 @@
 """The settings that fix a network's shape and meaning, as `config.json` stores them."""
 
 import dataclasses
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 from ..checks import bounded, count, positive
@@ -43,7 +43,10 @@ class _NetworkConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for `config.json`."""
-        return {**asdict(self), "channels": list(self.channels)}
+        content = {f.name: getattr(self, f.name) for f in fields(self)}
+        if "observer" in content:
+            content["observer"] = content["observer"].to_dict()
+        return {**content, "channels": list(self.channels)}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Self:
@@ -56,7 +59,7 @@ class _NetworkConfig:
             )
         values = {**content, "channels": tuple(content["channels"])}
         if "observer" in names:
-            values["observer"] = Observer(**content["observer"])
+            values["observer"] = Observer.from_dict(content["observer"])
         return cls(**values)
 
 
@@ -66,8 +69,9 @@ class PathDiffuserConfig(_NetworkConfig):
 
     Attributes:
         dim: D, 2 or 3.
-        observer: whose labels it learned.
-        field: whether it sees the field; without it, it knows start, goal, workspace and ℓ alone.
+        observer: who watches unless told otherwise; α, detour and label are those of all observers.
+        field: whether it sees the field and the obstacles' features; without it, it knows start,
+            goal, workspace and ℓ, and what it reads of the margin at the waypoints.
         channels: of the U-Net's levels.
         condition: size of the condition.
         encoder_width: channels of the image encoder's first layer.
@@ -97,7 +101,6 @@ class PathDiffuserConfig(_NetworkConfig):
         super().__post_init__()
         if not isinstance(self.observer, Observer):
             raise InvalidInputError(f"observer must be a legibility.Observer, got {self.observer}")
-        object.__setattr__(self, "observer", self.observer.resolved(self.dim))
         for name in ("field", "distilled"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidInputError(

@@ -37,8 +37,8 @@ class FieldEncoder(nn.Module):
         return self.head(self.convolutions(image).flatten(1))
 
 
-class DistractorEncoder(nn.Module):
-    """Features of any number of distractors, whatever their order (Zaheer et al. 2017)."""
+class SetEncoder(nn.Module):
+    """Features of any number of things, whatever their order (Zaheer et al. 2017)."""
 
     def __init__(self, inputs: int, size: int) -> None:
         super().__init__()
@@ -47,11 +47,11 @@ class DistractorEncoder(nn.Module):
         )
         self.head = nn.Linear(2 * size, size)
 
-    def forward(self, distractors: Tensor, there: Tensor) -> Tensor:
-        """`distractors (B, M, inputs)`, `there (B, M)` to `(B, size)`."""
-        each, missing = self.each(distractors), ~there[..., None]
-        total = each.masked_fill(missing, 0.0).sum(dim=1) / 2
-        most = each.masked_fill(missing, -torch.inf).amax(dim=1)
+    def forward(self, things: Tensor, there: Tensor) -> Tensor:
+        """`things (B, M, inputs)`, `there (B, M)` to `(B, size)`."""
+        each = self.each(things).masked_fill(~there[..., None], 0.0)
+        total = each.sum(dim=1) / 2
+        most = each.amax(dim=1)
         return self.head(torch.cat([total, most], dim=-1))
 
 

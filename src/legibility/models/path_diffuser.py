@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -12,13 +12,25 @@ from torch.nn import functional as F
 
 from ..curves import NUM_WAYPOINTS
 from ..intent.observer import Observer
+from ..obstacles import Solids
 from ..scene import Scene
 from .configuration import PathDiffuserConfig
 from .diffusion import ddim, sampling_timesteps
-from .frame import DEPTH, FIELD_CHANNELS, scene_image, scene_odds, scene_vector, vector_size
-from .networks import DistractorEncoder, FieldEncoder, FiLMUNet, Residual, fourier
+from .inputs import (
+    DEPTH,
+    FIELD_CHANNELS,
+    scene_image,
+    scene_odds,
+    scene_solids,
+    scene_vector,
+    solid_features,
+    stacked,
+    stacked_solids,
+    vector_size,
+)
+from .networks import FieldEncoder, FiLMUNet, Residual, SetEncoder, fourier
 
-NO_ODDS = -1e4
+NO_ODDS = -1e9
 LEVEL_FREQUENCIES = 12
 TIME_FREQUENCIES = 16
 
@@ -30,76 +42,150 @@ class Conditions:
     Attributes:
         image: `(B, C, H, W)`, see `scene_image`.
         vector: `(B, V)`, see `scene_vector`.
-        slopes: `(B, M, D)` and
-        intercepts: `(B, M)` of the distractors' log odds, see `scene_odds`; scenes with fewer than
-            M distractors are filled up with log odds so low that they do not count.
+        slopes: `(B, M, D)`,
+        intercepts: `(B, M)` and
+        distractors: `(B, M, D)`, positions, see `scene_odds`; scenes with fewer than M distractors
+            are filled up with log odds so low that they do not count.
+        centers, axes, halves, radii, vertices, polygon_radii: of `Solids`, see `scene_solids`.
+        solid_features: `(B, N, F)` of each solid; 0 where there is none.
     """
 
     image: Tensor
     vector: Tensor
     slopes: Tensor
     intercepts: Tensor
+    distractors: Tensor
+    centers: Tensor
+    axes: Tensor
+    halves: Tensor
+    radii: Tensor
+    vertices: Tensor
+    polygon_radii: Tensor
+    solid_features: Tensor
 
     @classmethod
     @np.errstate(under="ignore")
     def of(
-        cls, scenes: list[Scene], targets: list[int], observer: Observer, resolution: int
+        cls,
+        scenes: Sequence[Scene],
+        targets: Sequence[int],
+        observers: Sequence[Observer],
+        resolution: int,
     ) -> Conditions:
-        """The inputs of `scenes`, with goal `targets[i]` as the target of the i-th."""
-        most = max(scene.num_goals for scene in scenes) - 1
-        images, vectors = [], []
-        slopes = np.zeros((len(scenes), most, scenes[0].dim), dtype=np.float32)
-        intercepts = np.full((len(scenes), most), NO_ODDS, dtype=np.float32)
-        for i, (scene, target) in enumerate(zip(scenes, targets, strict=True)):
+        """The inputs of `scenes`, with goal `targets[i]` and observer `observers[i]` of the i-th."""
+        images, vectors, odds, solids = [], [], [], []
+        for scene, target, observer in zip(scenes, targets, observers, strict=True):
             field = observer.field(scene)
             images.append(scene_image(scene, target, field, resolution))
             vectors.append(scene_vector(scene, target, field))
-            others = scene.num_goals - 1
-            slopes[i, :others], intercepts[i, :others] = scene_odds(scene, target, field)
-        arrays = (np.stack(images), np.stack(vectors), slopes, intercepts)
+            odds.append(scene_odds(scene, target, field))
+            solids.append(scene_solids(scene, target))
+        slopes, intercepts, distractors = map(list, zip(*odds, strict=True))
+        arrays = (
+            np.stack(images), np.stack(vectors),
+            stacked(slopes), stacked(intercepts, NO_ODDS), stacked(distractors),
+            *stacked_solids(solids),
+        )  # fmt: skip
         return cls(*map(torch.from_numpy, arrays))
 
     def without_image(self) -> Conditions:
         """The same with an image of no pixels, to save copies after the scene is encoded."""
-        return Conditions(self.image[:, :0], self.vector, self.slopes, self.intercepts)
+        return replace(self, image=self.image[:, :0])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Conditions:
         """The same after `function` of each tensor."""
         return Conditions(*(function(getattr(self, f.name)) for f in fields(self)))
+
+    @property
+    def beta(self) -> Tensor:
+        """β `(B, 1, 1)` of Dragan's observers, 0 of gaussian ones."""
+        return self.vector[:, -1, None, None]
+
+    @property
+    def solids(self) -> Solids:
+        """What stands in the way."""
+        return Solids(
+            self.centers, self.axes, self.halves, self.radii, self.vertices, self.polygon_radii
+        )
 
     def potential(self, points: Tensor) -> Tensor:
         """φ `(B, K)` at points `(B, K, D)`."""
         return self._odds(points)[1]
 
     def potential_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """φ `(B, K)` at points `(B, K, D)` and `∇φ = Σ_g P(g|x) slope_g` there, `(B, K, D)`."""
+        """φ `(B, K)` at points `(B, K, D)` and its gradient there, `(B, K, D)`.
+
+        `∇φ = Σ_g P(g|x) ∇odds_g`.
+        """
         odds, potential = self._odds(points)
-        posterior = torch.exp(odds - potential[:, None])
-        return potential, posterior.transpose(1, 2) @ self.slopes
+        posterior = torch.exp(odds - potential[:, None]).transpose(1, 2)  # (B, K, M)
+        toward = _unit(points[:, :, None] - self.distractors[:, None])
+        pull = (posterior[..., None] * toward).sum(2)
+        push = posterior.sum(-1, keepdim=True) * _unit(points - self._target(points))
+        return potential, posterior @ self.slopes + self.beta * (push - pull)
 
     def _odds(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Log odds of the distractors, `(B, M, K)`, at points `(B, K, D)`, and φ `(B, K)`."""
         odds = self.slopes @ points.transpose(1, 2) + self.intercepts[..., None]
+        nearer = _length(points - self._target(points))[:, None] - _length(
+            points[:, None] - self.distractors[:, :, None]
+        )
+        odds = odds + self.beta * nearer
         return odds, F.softplus(odds.logsumexp(dim=1))
 
-    def distractors(self) -> tuple[Tensor, Tensor]:
-        """Features `(B, M, 2D + 1)` of each distractor, and whether there is one, `(B, M)`.
+    @staticmethod
+    def _target(points: Tensor) -> Tensor:
+        """The target in the frame, `(D,)`."""
+        return F.pad(points.new_ones(1), (0, points.shape[-1] - 1))
 
-        Its position relative to the target, and slope and intercept of its log odds (by asinh).
+    def distractor_features(self) -> tuple[Tensor, Tensor]:
+        """Features `(B, M, 2D + 4)` of each distractor, and whether there is one, `(B, M)`.
+
+        Its position, and slope, intercept and β of its log odds, and these at the start.
         """
-        variance = torch.exp(-2 * self.vector[:, -1])[:, None, None]  # σ² in the frame
-        features = [self.slopes * variance, torch.asinh(self.slopes) / 4]
-        features.append(torch.asinh(self.intercepts)[..., None] / 4)
-        return torch.cat(features, dim=-1), self.intercepts > NO_ODDS
+        there = self.intercepts > NO_ODDS / 2
+        beta = self.beta[..., 0].expand_as(self.intercepts)
+        nearer = 1 - _length(self.distractors)
+        columns = [self.intercepts, beta, self.intercepts + beta * nearer, nearer]
+        features = [self.distractors, self.slopes / 4, torch.stack(columns, dim=-1) / 4]
+        return torch.asinh(torch.cat(features, dim=-1)), there
 
-    def wall_distance(self, points: Tensor) -> Tensor:
-        """Distance `(B, K)` of points `(B, K, D)` from the nearest wall, negative outside."""
+    def margin(self, points: Tensor) -> Tensor:
+        """Distance `(B, K)` of points `(B, K, D)` from the nearest solid or wall."""
+        return torch.minimum(self.solids.distance(points), self._walls(points)[0].amin(-1))
+
+    def margin_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """`margin` `(B, K)` and its gradient `(B, K, D)` at points `(B, K, D)`."""
+        solid, slope = self.solids.nearest(points)
+        distances, inward = self._walls(points)
+        wall = distances.amin(-1)
+        side = (distances == wall[..., None]).to(points.dtype)
+        wall_slope = (side / side.sum(-1, keepdim=True) * inward[1]) @ inward[0].transpose(1, 2)
+        nearer = (solid < wall)[..., None]
+        return torch.minimum(solid, wall), torch.where(nearer, slope, wall_slope)
+
+    def _walls(self, points: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+        """Distance `(B, K, D)` to the nearer wall along each axis of the workspace.
+
+        And these axes as columns `(B, D, D)`, and the sign `(B, K, D)` of inward along each.
+        """
         dim = points.shape[-1]
         centre, axes = self.vector[:, :dim], self.vector[:, dim : dim + dim * dim]
         axes = axes.reshape(-1, dim, dim)
         half = axes.norm(dim=1)
-        along = (points - centre[:, None]) @ (axes / half[:, None])
-        return (half[:, None] - along.abs()).amin(dim=-1)
+        axes = axes / half[:, None]
+        along = (points - centre[:, None]) @ axes
+        inward = torch.where(along > 0, -torch.ones_like(along), torch.ones_like(along))
+        return half[:, None] - along.abs(), (axes, inward)
+
+
+def _length(vectors: Tensor) -> Tensor:
+    """Length `(...)` of `vectors (..., D)`, with a gradient at 0."""
+    return (vectors.square().sum(-1) + 1e-12).sqrt()
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    return vectors / _length(vectors)[..., None]
 
 
 class PathDiffuser(nn.Module):
@@ -117,7 +203,8 @@ class PathDiffuser(nn.Module):
             self.encoder = FieldEncoder(
                 FIELD_CHANNELS * slices, config.resolution, config.encoder_width, size
             )
-            self.distractors = DistractorEncoder(2 * config.dim + 1, size)
+            self.distractors = SetEncoder(2 * config.dim + 4, size)
+            self.solids = SetEncoder(solid_features(config.dim), size)
         self.place = nn.Linear(vector_size(config.dim), size)
         self.no_field = nn.Parameter(torch.zeros(size))
         self.scene = nn.Sequential(nn.SiLU(), Residual(size))
@@ -127,7 +214,7 @@ class PathDiffuser(nn.Module):
         self.time = nn.Sequential(
             nn.Linear(2 * TIME_FREQUENCIES + 1, size), nn.SiLU(), nn.Linear(size, size)
         )
-        self.unet = FiLMUNet(2 * config.dim + 2, config.dim, config.channels, size)
+        self.unet = FiLMUNet(3 * config.dim + 2, config.dim, config.channels, size)
         self.spread: Tensor  # of the latent over the data, set by training
         self.register_buffer("spread", torch.ones(NUM_WAYPOINTS, config.dim))
         self.signal: Tensor  # ᾱ at each diffusion step, set by training
@@ -137,22 +224,27 @@ class PathDiffuser(nn.Module):
         straight[:, 0] = torch.linspace(0, 1, NUM_WAYPOINTS + 2, dtype=torch.float32)[1:-1]
         self.register_buffer("straight", straight, persistent=False)
 
-    def conditions(self, scenes: list[Scene], targets: list[int]) -> Conditions:
-        """`Conditions.of` for the model's observer and resolution."""
-        return Conditions.of(scenes, targets, self.config.observer, self.config.resolution)
+    def conditions(
+        self, scenes: Sequence[Scene], targets: Sequence[int], observers: Sequence[Observer]
+    ) -> Conditions:
+        """`Conditions.of` for the model's resolution."""
+        return Conditions.of(scenes, targets, observers, self.config.resolution)
 
     def encode_scene(self, conditions: Conditions, keep: Tensor | None = None) -> Tensor:
         """`(B, E)` of the scene; where `keep (B,)` is false the field is dropped."""
         if not self.config.field:
             return self._without_field(conditions)
-        features = self.encoder(conditions.image) + self.distractors(*conditions.distractors())
+        solids = conditions.solid_features
+        features = self.encoder(conditions.image.float())
+        features = features + self.distractors(*conditions.distractor_features())
+        features = features + self.solids(torch.asinh(solids), solids[..., -1] > 0)
         if keep is not None:
             features = torch.where(keep[:, None], features, self.no_field)
-        return self.scene(features + self.place(conditions.vector))
+        return self.scene(features + self.place(torch.asinh(conditions.vector)))
 
     def _without_field(self, conditions: Conditions) -> Tensor:
         """The result of `encode_scene` where the field is dropped; it needs no image."""
-        return self.scene(self.no_field + self.place(conditions.vector))
+        return self.scene(self.no_field + self.place(torch.asinh(conditions.vector)))
 
     def encode(self, scene: Tensor, level: Tensor, keep: Tensor | None = None) -> Tensor:
         """`(B, E)` of scene and ℓ `(B,)`; where `keep (B,)` is false ℓ is dropped."""
@@ -172,7 +264,7 @@ class PathDiffuser(nn.Module):
         """The velocity v (Salimans & Ho 2022), `(B, K, D)`.
 
         The U-Net reads the noisy waypoints, the field's potential and gradient there (unless the
-        model is one without the field), and the distance to the nearest wall.
+        model is one without the field), and the margin to solids and walls and its gradient.
 
         Args:
             noisy: `(B, K, D)`, noisy latent.
@@ -190,20 +282,16 @@ class PathDiffuser(nn.Module):
 
     @torch.no_grad()
     def _read(self, noisy: Tensor, conditions: Conditions) -> Tensor:
-        """`(B, K, D + 2)` of the field and the walls at the points of `noisy (B, K, D)`."""
+        """`(B, K, 2D + 2)` of the field and the free space at `noisy (B, K, D)`."""
         # In float32 whatever the network's precision: log odds are large, their differences small.
         with torch.autocast(noisy.device.type, enabled=False):
             points = self.from_latent(noisy)
             potential, gradient = conditions.potential_and_gradient(points)
-            wall_distance = conditions.wall_distance(points)
-        reading = torch.cat([
-            torch.log1p(potential)[..., None] - 1,
-            torch.asinh(gradient) / 2,
-            torch.tanh(2 * wall_distance)[..., None],
-        ], dim=-1)  # fmt: skip
+            margin, inward = conditions.margin_and_gradient(points)
+        belief = torch.cat([torch.log1p(potential)[..., None] - 1, torch.asinh(gradient) / 2], -1)
         if not self.config.field:
-            reading[..., :-1] = 0
-        return reading
+            belief = torch.zeros_like(belief)
+        return torch.cat([belief, torch.tanh(2 * margin)[..., None], inward], dim=-1)
 
     def to_latent(self, waypoints: Tensor) -> Tensor:
         """Waypoints `(..., K, D)` in the start–target frame to the latent."""

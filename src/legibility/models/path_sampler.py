@@ -1,4 +1,4 @@
-"""Paths drawn by stage 1 in scenes: in metres, on the right side of the straight line."""
+"""Paths drawn by stage 1 in scenes: in metres, on the right side of the straight line, feasible."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from torch import Tensor
 from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
 from ..errors import CheckpointError, InvalidInputError
+from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS
+from ..intent.observer import Observer
 from ..motion.path import straight_waypoints
 from ..scene import Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
-from .frame import Frame
 from .path_diffuser import PathDiffuser
 
 _RETRIES = 3
 _STEP_BACK = 0.03
 _TOLERANCE = 0.05
 _LEAST_COST = 1e-12
+_DRAWS = 8
+_FINE = 192  # points at which a path is checked
 
 
 class Sampling(NamedTuple):
@@ -54,6 +57,46 @@ class Sampling(NamedTuple):
         return Sampling(guidance, steps)
 
 
+class Tasks(NamedTuple):
+    """Paths to draw: `B` levels, in `B` scenes or in one for all.
+
+    Attributes:
+        scenes, targets, observers: `B` or 1 of each.
+        levels: ℓ `(B,)`.
+    """
+
+    scenes: Sequence[Scene]
+    targets: Sequence[int]
+    observers: Sequence[Observer]
+    levels: Array
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    def of(self, rows: NDArray[np.intp]) -> Tasks:
+        """Those of some rows."""
+        if len(self.scenes) == 1:
+            return self._replace(levels=self.levels[rows])
+        chosen = ([values[i] for i in rows] for values in self[:3])
+        return Tasks(*chosen, self.levels[rows])
+
+    def rows(self) -> Iterator[tuple[slice, Scene, int, Observer]]:
+        """Each scene, with its target and observer, and the rows that lie in it."""
+        if len(self.scenes) == 1:
+            yield slice(None), self.scenes[0], self.targets[0], self.observers[0]
+            return
+        for i, row in enumerate(zip(*self[:3], strict=True)):
+            yield slice(i, i + 1), *row
+
+    def margin(self, paths: Array) -> Array:
+        """Least margin [m] of the curves through `paths (B, K + 2, D)`, `(B,)`, 0 if feasible."""
+        margin = np.empty(len(self))
+        for row, scene, target, _ in self.rows():
+            least = scene.margin_at(path_curve(paths[row], _FINE), target).min(-1)
+            margin[row] = np.where(least < -1e-9 * scene.diagonal, least, 0.0)
+        return margin
+
+
 class PathSampler:
     """Draws paths in scenes with stage 1.
 
@@ -68,82 +111,65 @@ class PathSampler:
         self.config = model.config
 
     @torch.inference_mode()
-    def draw(
-        self,
-        scenes: Sequence[Scene],
-        targets: Sequence[int],
-        levels: Array,
-        seed: int,
-        sampling: Sampling,
-    ) -> Array:
-        """A path for each of `levels (B,)`, in `B` scenes or in one for all.
+    def draw(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
+        """A path for each task.
 
         Returns:
             `(B, K + 2, D)` [m]; its ends are start and goal exactly.
         """
-        size, dim = len(levels), self.config.dim
+        size, dim = len(tasks), self.config.dim
         generator = torch.Generator("cpu").manual_seed(seed)
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
-        level = torch.from_numpy(levels.astype(np.float32))
-        conditions = self.model.conditions(list(scenes), list(targets))
+        level = torch.from_numpy(tasks.levels.astype(np.float32))
+        conditions = self.model.conditions(tasks.scenes, tasks.targets, tasks.observers)
         waypoints = self.sample(conditions, level, noise, **sampling._asdict()).double().numpy()
         if not np.isfinite(waypoints).all():
             raise CheckpointError(f"the model {self.name} drew a path that is not finite")
         paths = np.empty((size, NUM_WAYPOINTS + 2, dim))
-        for row, scene, target in _rows(scenes, targets, size):
+        for row, scene, target, _ in tasks.rows():
             paths[row, 1:-1] = Frame.of(scene, target).frame_to_world(waypoints[row])
             paths[row, 0], paths[row, -1] = scene.start, scene.goals[target]
         return paths
 
-    def draw_with_retries(
-        self,
-        scenes: Sequence[Scene],
-        targets: Sequence[int],
-        levels: Array,
-        seed: int,
-        sampling: Sampling,
-    ) -> Array:
-        """`draw`, and draw again what lies on the wrong side of the straight line.
+    def draw_with_retries(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
+        """`draw`, and draw again what lies on the wrong side of the straight line or in contact.
 
         Where the best way round changes with ℓ, a draw may fall between two ways. The straight
         line's score reveals it: a legible path must not cost more, an ambiguous one not less. Each
         retry asks for a little less. A model without the field gets no help from it here either.
+        Of a path in contact, several more are drawn, and the one that comes nearest to keeping
+        clear is taken.
         """
-        paths = self.draw(scenes, targets, levels, seed, sampling)
-        if self.config.observer.label != "anchored" or not self.config.field:
-            return paths
-        for retry in range(1, _RETRIES + 1):
-            wrong = self._on_wrong_side(scenes, targets, levels, paths)
-            if not len(wrong):
-                break
-            shared = len(scenes) == 1
-            paths[wrong] = self.draw(
-                scenes if shared else [scenes[i] for i in wrong],
-                targets if shared else [targets[i] for i in wrong],
-                levels[wrong] * (1 - _STEP_BACK) ** retry,
-                seed ^ retry, sampling,
-            )  # fmt: skip
+        paths = self.draw(tasks, seed, sampling)
+        if self.config.observer.label == "anchored" and self.config.field:
+            for retry in range(1, _RETRIES + 1):
+                wrong = self._on_wrong_side(tasks, paths)
+                if not len(wrong):
+                    break
+                again = tasks.of(wrong)
+                again = again._replace(levels=again.levels * (1 - _STEP_BACK) ** retry)
+                paths[wrong] = self.draw(again, seed ^ retry, sampling)
+        margin = tasks.margin(paths)
+        touching = np.flatnonzero(margin < 0)
+        if len(touching):
+            again = tasks.of(np.repeat(touching, _DRAWS))
+            drawn = self.draw(again, seed ^ (_RETRIES + 1), sampling)
+            drawn = np.concatenate(
+                [paths[touching, None], drawn.reshape(-1, _DRAWS, *paths.shape[1:])], 1
+            )
+            gaps = again.margin(drawn[:, 1:].reshape(-1, *paths.shape[1:])).reshape(-1, _DRAWS)
+            best = np.argmax(np.column_stack([margin[touching], gaps]), axis=1)
+            paths[touching] = drawn[np.arange(len(touching)), best]
         return paths
 
-    def _on_wrong_side(
-        self, scenes: Sequence[Scene], targets: Sequence[int], levels: Array, paths: Array
-    ) -> NDArray[np.intp]:
+    def _on_wrong_side(self, tasks: Tasks, paths: Array) -> NDArray[np.intp]:
         """Indices of the paths that are clearly on the other side of the straight line than ℓ."""
-        ratio = np.empty(len(levels))
-        for row, scene, target in _rows(scenes, targets, len(levels)):
+        ratio = np.ones(len(tasks))
+        for row, scene, target, observer in tasks.rows():
             straight = straight_waypoints(scene.start, scene.goals[target])
+            if not scene.feasible(straight, target):
+                continue  # ℓ = 0 is another curve
             curves = path_curve(np.concatenate([paths[row], straight[None]]), SCORE_POINTS)
-            low, high = scene.workspace
-            inside = np.minimum(np.maximum(curves, low), high)  # quicker than np.clip
-            costs = _LEAST_COST - self.config.observer.score(inside, scene, target)
+            costs = _LEAST_COST - observer.score(curves, scene, target)
             ratio[row] = costs[:-1] / costs[-1]
-        return np.flatnonzero(np.log(ratio) * np.sign(levels) > _TOLERANCE)
-
-
-def _rows(
-    scenes: Sequence[Scene], targets: Sequence[int], size: int
-) -> Iterator[tuple[slice, Scene, int]]:
-    """Each scene with its target and the rows of a batch of `size` that lie in it."""
-    shared = len(scenes) == 1
-    rows = [slice(None)] if shared else [slice(i, i + 1) for i in range(size)]
-    return zip(rows, scenes, targets, strict=True)
+        return np.flatnonzero(np.log(ratio) * np.sign(tasks.levels) > _TOLERANCE)

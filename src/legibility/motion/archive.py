@@ -222,9 +222,8 @@ def free(scene: Scene, target: int, controls: Array, trajectories: Array) -> np.
     if not scene.obstacles and not scene.goal_radius:
         return inside
     rows = np.flatnonzero(inside)
-    margin = scene.margin_at(trajectories[rows], target)
     solid = scene.solids(target).distance(trajectories[rows].reshape(-1, scene.dim))
-    solid = solid.reshape(margin.shape).min(-1)
+    solid = solid.reshape(len(rows), -1).min(-1)
     gap = np.linalg.norm(trajectories[rows, 1] - trajectories[rows, 0], axis=-1)
     inside[rows[solid < -1e-9 * scene.diagonal]] = False
     near = rows[(solid >= -1e-9 * scene.diagonal) & (solid < gap / 2)]
@@ -275,7 +274,7 @@ def build_archive(
         seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
-    anchor, shortest = _shortest(rng, scene, target)
+    anchor, shortest = _shortest(scene, target)
     grid = CurveGrid(scene, target, observer.detour * shortest, cells)
     grid.add(anchor[None])
     tried, idle = 1, 0
@@ -368,7 +367,8 @@ def _with_ends(inner: Array, anchor: Array) -> Array:
     return controls
 
 
-def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Array, float]:
+@functools.lru_cache(maxsize=64)
+def _shortest(scene: Scene, target: int) -> tuple[Array, float]:
     """The straight line `(4, D)`, or the shortest feasible curve where it is blocked; its length.
 
     Random curves in a region that grows until some are feasible, then variations of the shortest.
@@ -377,6 +377,7 @@ def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Arra
     scale = Frame.of(scene, target).scale
     if free(scene, target, straight[None], bezier_trajectories(straight[None], SCORE_POINTS))[0]:
         return straight, scale
+    rng = np.random.default_rng(0)
     best, lengths = np.empty((0, 4, scene.dim)), np.empty(0)
 
     def keep_shortest(controls: Array) -> None:
@@ -393,7 +394,8 @@ def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Arra
     while len(best) < 8 and longest <= _WIDEST * scale:
         grid = CurveGrid(scene, target, longest, 2)
         for _ in range(4):
-            keep_shortest(_with_ends(random_controls(rng, grid, _BATCH), straight))
+            if len(best) < 8:
+                keep_shortest(_with_ends(random_controls(rng, grid, _BATCH), straight))
         longest *= 2
     if not len(best):
         raise InvalidSceneError(
@@ -402,10 +404,21 @@ def _shortest(rng: np.random.Generator, scene: Scene, target: int) -> tuple[Arra
             "workspace"
         )
     for generation in range(12):
-        parents = best[rng.integers(0, len(best), _BATCH // 2)][:, 1:3]
-        noise = rng.normal(0, 0.2 * scale * 0.75**generation, parents.shape)
+        parents = best[rng.integers(0, len(best), _BATCH // 4)][:, 1:3]
+        noise = rng.normal(0, 0.2 * scale * 0.7**generation, parents.shape)
         keep_shortest(_with_ends(parents + noise, straight))
-    return best[0], float(lengths[0])
+    anchor = best[0]
+    anchor.setflags(write=False)
+    return anchor, float(lengths[0])
+
+
+def passable(scene: Scene, target: int) -> bool:
+    """Whether some curve leads to goal `target`."""
+    try:
+        _shortest(scene, scene.check_target(target))
+    except InvalidSceneError:
+        return False
+    return True
 
 
 @functools.lru_cache(maxsize=32)

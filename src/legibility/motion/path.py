@@ -16,6 +16,8 @@ from ..intent.observer import Observer
 from ..scene import Scene
 from .archive import Archive, scene_archive
 
+_FINE = 192  # points at which a trajectory is checked
+
 
 @dataclass(frozen=True, eq=False)
 class Path:
@@ -25,26 +27,26 @@ class Path:
         scene: the scene.
         target: index of the intended goal.
         legibility: the requested ℓ, `(B?)`.
-        waypoints: `(B?, K + 2, D)` [m], in the workspace: start, K = 8 waypoints, goal.
-        clipped: `(B?)`, whether the curve left the workspace and was moved back to its wall.
+        waypoints: `(B?, K + 2, D)` [m]: start, K = 8 waypoints, goal.
         observer: defines ℓ.
+        replaced: `(B?)`, whether no drawn path was feasible, so that the archive's nearest curve
+            stands in for it.
     """
 
     scene: Scene
     target: int
     legibility: Array
     waypoints: Array
-    clipped: np.ndarray | np.bool
     observer: Observer
+    replaced: np.ndarray | np.bool
 
     @classmethod
     def through(
         cls, waypoints: Array, scene: Scene, target: int, legibility: Array, observer: Observer
     ) -> Path:
-        """A path through `waypoints (B?, K + 2, D)` [m], brought into the workspace."""
-        inside = scene.contains(path_curve(waypoints, SCORE_POINTS), 1e-6).all(-1)
-        waypoints = np.clip(waypoints, *scene.workspace)
-        return cls(scene, target, legibility, waypoints, ~inside, observer)
+        """A path through `waypoints (B?, K + 2, D)` [m]."""
+        replaced = np.zeros(waypoints.shape[:-2], dtype=bool)
+        return cls(scene, target, legibility, waypoints, observer, replaced)
 
     @property
     def field(self) -> Field:
@@ -52,10 +54,21 @@ class Path:
         return self.observer.field(self.scene)
 
     def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
-        """The smooth curve through the waypoints, `(B?, num_points, D)` [m], in the workspace."""
+        """The smooth curve through the waypoints, `(B?, num_points, D)` [m]."""
         curve = path_curve(self.waypoints, count("num_points", num_points, low=2))
         curve[..., [0, -1], :] = self.waypoints[..., [0, -1], :]  # free of rounding
-        return np.clip(curve, *self.scene.workspace)
+        return curve
+
+    @cached_property
+    def clearance(self) -> Array:
+        """Least distance [m] of the trajectory from obstacles, other goals and walls, `(B?)`."""
+        curve = self.trajectory(_FINE)
+        return self.scene.clearance_at(curve, self.target).min(-1)
+
+    @cached_property
+    def feasible(self) -> np.ndarray:
+        """Whether the trajectory keeps clear of everything, `(B?)`."""
+        return self.scene.feasible(self.trajectory(_FINE), self.target)
 
     @cached_property
     def score(self) -> Array:
@@ -91,7 +104,7 @@ class Path:
             self,
             legibility=self.legibility[index],
             waypoints=self.waypoints[index],
-            clipped=np.asarray(self.clipped)[index],
+            replaced=np.asarray(self.replaced)[index],
         )
 
 

@@ -15,7 +15,7 @@ def _share(name: str, value: float) -> None:
         raise InvalidInputError(f"{name} must lie in [0, 1), got {value}")
 
 
-_WEIGHTS = ("weight_decay", "score_weight", "wall_weight", "jerk_weight")
+_WEIGHTS = ("weight_decay", "score_weight", "contact_weight", "jerk_weight")
 _CHECKS = {
     "seed": random_seed,
     "warmup": partial(count, low=0),
@@ -66,14 +66,16 @@ class PathTrainingConfig(TrainingConfig):
         scenes: scenes in a batch.
         per_scene: trajectories of each scene in a batch.
         score_weight: weight of the loss on the achieved label; that on the velocity weighs 1.
-        wall_weight: weight of the mean distance of the denoised curve outside the workspace, in
-            lengths of the straight line.
+        contact_weight: weight of the distance, in lengths of the straight line, by which the
+            denoised curve comes too near to solids and walls.
+        jerk_weight: weight of the loss on jerk beyond that of the path learned.
     """
 
     scenes: int = 128
     per_scene: int = 8
     score_weight: float = 5.0
-    wall_weight: float = 20.0
+    contact_weight: float = 20.0
+    jerk_weight: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -84,16 +86,14 @@ class DistillationConfig(PathTrainingConfig):
         sampling_steps: steps in which the student draws.
         pairs: pairs of noise and path that the teacher draws in each scene, evenly over the dial.
         ends: share of the pairs at ℓ = ±1.
-        jerk_weight: weight of the loss on jerk beyond that of the teacher's paths.
     """
 
     steps: int = 4000
     learning_rate: float = 5e-4
     dropout: float = 0.0
     sampling_steps: int = 1
-    pairs: int = 32
+    pairs: int = 24
     ends: float = 0.2
-    jerk_weight: float = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -19,12 +19,13 @@ from torch.nn import functional as F
 from ..curves import NUM_WAYPOINTS, spline_matrix
 from ..data.dataset import LABEL_KNOTS, Dataset
 from ..errors import InvalidInputError
+from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS
 from ..models.configuration import PathDiffuserConfig
 from ..models.diffusion import noised, sampling_timesteps
-from ..models.frame import Frame
 from ..models.path_diffuser import Conditions, PathDiffuser
 from ..models.provenance import Source, TeacherRecord
+from ..motion.archive import SMALLEST_RANGE
 from .configuration import FIXED_BY_DATA, DistillationConfig, PathTrainingConfig
 from .loop import Run, Trained, new_model, train
 from .team import Team
@@ -32,6 +33,7 @@ from .team import Team
 _AT_ONCE = 16  # scenes for which a teacher draws at a time
 _LEAST_COST = 1e-30
 _SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
+_PAD = 0.01  # distance to keep from solids and walls, in lengths of the straight line
 
 
 class PathBatches:
@@ -41,7 +43,7 @@ class PathBatches:
         self, data: Dataset, model: PathDiffuser, config: PathTrainingConfig, team: Team
     ) -> None:
         self.config, self.team = config, team
-        conditions = model.conditions(data.scenes, [0] * len(data.scenes))
+        conditions = model.conditions(data.scenes, [0] * len(data.scenes), data.observers)
         self.conditions = conditions.map(lambda x: x.to(team.device))
         motions = zip(data.scenes, data.waypoints, strict=True)
         waypoints = np.stack([Frame.of(s, 0).world_to_frame(w) for s, w in motions])
@@ -52,7 +54,7 @@ class PathBatches:
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared error of the velocity, plus losses on the denoised path's label and walls."""
+        """Squared error of the velocity, plus losses on the denoised path's label and contacts."""
         config, steps = self.config, model.config.diffusion_steps
         num, per = config.scenes, config.per_scene
         scenes = torch.randint(len(self.labels), (num,), generator=generator)
@@ -89,14 +91,26 @@ class PathBatches:
         weight = weight[clear]
         estimate = (signal.sqrt() * noisy - (1 - signal).sqrt() * predicted)[clear]
         conditions = conditions.map(lambda x: x[clear])
-        points = self.scorer.curve(model.from_latent(estimate))
-        achieved = self.scorer.label(conditions, index[clear], points)
-        error = F.smooth_l1_loss(achieved, label[clear], beta=0.1, reduction="none")
-        label_loss = (weight * error).sum()
-        outside = F.relu(-conditions.wall_distance(points)).mean(dim=1)
-        wall_loss = (weight * outside).sum()
-        total = velocity_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
-        parts = {"velocity": velocity_loss, "label": label_loss, "wall": wall_loss}
+        found, index, label = model.from_latent(estimate), index[clear], label[clear]
+        points = self.scorer.curve(found)
+        error = self.scorer.error(conditions, index, points, label)
+        parts = {
+            "velocity": velocity_loss,
+            "label": (weight * error).sum(),
+            "contact": (weight * self.scorer.contact(conditions, points)).sum(),
+            "jerk": (weight * self.scorer.jerk(found, waypoints[clear])).sum(),
+        }
+        return self.weighed(parts)
+
+    def weighed(self, parts: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """The sum of the losses by their weights, and each for the log."""
+        config = self.config
+        weights = {
+            "label": config.score_weight,
+            "contact": config.contact_weight,
+            "jerk": config.jerk_weight,
+        }
+        total = torch.stack([weights.get(name, 1.0) * part for name, part in parts.items()]).sum()
         return total, {name: part.detach() for name, part in parts.items()}
 
     @torch.no_grad()
@@ -150,7 +164,7 @@ class DistillationBatches(PathBatches):
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared distance from the teacher's paths, plus losses on label, walls and jerk."""
+        """Squared distance from the teacher's paths, plus losses on label, contacts and jerk."""
         if not len(self.noise):
             self.draw()
         config, per = self.config, self.config.per_scene
@@ -169,27 +183,16 @@ class DistillationBatches(PathBatches):
         taught = self.waypoints[each, chosen]
         path_loss = F.mse_loss(model.to_latent(found), model.to_latent(taught))
         points = self.scorer.curve(found)
-        achieved = self.scorer.label(conditions, each, points)
-        # Labels end at ±1, scores go beyond: at the ends only a path that falls short is wrong.
-        beyond = (level.abs() == 1) & (achieved * level > 1)
-        label_loss = F.smooth_l1_loss(torch.where(beyond, level, achieved), level, beta=0.1)
-        wall_loss = F.relu(-conditions.wall_distance(points)).mean()
-        jerk_loss = F.relu((self._jerk(found) / self._jerk(taught)).log()).mean()
-        total = path_loss + config.score_weight * label_loss + config.wall_weight * wall_loss
-        total = total + config.jerk_weight * jerk_loss
-        parts = {"path": path_loss, "label": label_loss, "wall": wall_loss, "jerk": jerk_loss}
-        return total, {name: part.detach() for name, part in parts.items()}
-
-    def _jerk(self, waypoints: Tensor) -> Tensor:
-        """`(B,)`: squared third differences along paths of waypoints `(B, K, D)`, plus `_SMOOTH`.
-
-        In squared lengths of the straight line.
-        """
-        return self.scorer.path(waypoints).diff(n=3, dim=1).square().sum((1, 2)) + _SMOOTH
+        return self.weighed({
+            "path": path_loss,
+            "label": self.scorer.error(conditions, each, points, level).mean(),
+            "contact": self.scorer.contact(conditions, points).mean(),
+            "jerk": self.scorer.jerk(found, taught).mean(),
+        })  # fmt: skip
 
 
 class FrameScorer:
-    """`L_p` (paper, eq. 4) and its label in PyTorch, differentiable, in the start–target frame."""
+    """Label, contact and jerk of paths in PyTorch, differentiable, in the start–target frame."""
 
     def __init__(self, data: Dataset, conditions: Conditions) -> None:
         def tensor(array: np.ndarray) -> Tensor:
@@ -200,6 +203,9 @@ class FrameScorer:
         knots = -np.log(np.maximum(-data.score_at_label, _LEAST_COST))
         self.knots = tensor(np.maximum.accumulate(knots, axis=1))
         self.values = tensor(LABEL_KNOTS)
+        # Labels rank little where a side of the dial spans little.
+        ends = np.abs(data.score_at_label[:, [0, -1]] - data.summary["anchor_score"][:, None])
+        self.trust = tensor(np.minimum(ends / SMALLEST_RANGE, 1))
         self.alpha = data.config.observer.alpha
         self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, SCORE_POINTS))
         self.ends = tensor(np.eye(2, data.config.dim, k=-1))
@@ -240,6 +246,33 @@ class FrameScorer:
         right = right[:, 0]
         step = self.values[1] - self.values[0]
         return self.values[right - 1] + (score - low) / span * step
+
+    def error(
+        self, conditions: Conditions, scenes: Tensor, points: Tensor, level: Tensor
+    ) -> Tensor:
+        """`(B,)`: loss on the label of curves `(B, T, D)` against `level (B,)`."""
+        achieved = self.label(conditions, scenes, points)
+        # Labels end at ±1, scores go beyond: at the ends only a path that falls short is wrong.
+        beyond = (level.abs() == 1) & (achieved * level > 1)
+        achieved = torch.where(beyond, level, achieved)
+        trust = self.trust[scenes].gather(1, (level > 0).long()[:, None])[:, 0]
+        return trust * F.smooth_l1_loss(achieved, level, beta=0.1, reduction="none")
+
+    @staticmethod
+    def contact(conditions: Conditions, points: Tensor) -> Tensor:
+        """`(B,)`: by how much curves `(B, T, D)` come too near to solids and walls.
+
+        The mean along the curve, and a share of the worst point.
+        """
+        shortfall = F.relu(_PAD - conditions.margin(points))
+        return shortfall.mean(dim=1) + shortfall.amax(dim=1) / 4
+
+    def jerk(self, waypoints: Tensor, like: Tensor) -> Tensor:
+        """`(B,)`: log jerk of paths `(B, K, D)` beyond that of the paths `like`."""
+        found, allowed = (
+            self.path(x).diff(n=3, dim=1).square().sum((1, 2)) + _SMOOTH for x in (waypoints, like)
+        )
+        return F.relu((found / allowed).log())
 
 
 def train_path(
@@ -318,19 +351,22 @@ def distill_path(
 
 
 def check_data(config: PathDiffuserConfig, data: Dataset, validation: Dataset) -> None:
-    """Raise unless both datasets have the dimension and the observer of a model of `config`."""
+    """Raise unless both datasets have the dimension and the meaning of ℓ of a model of `config`."""
     for name, dataset in (("data", data), ("validation data", validation)):
-        settings = {"dim": dataset.config.dim, **vars(dataset.config.observer)}
-        for key, value in {"dim": config.dim, **vars(config.observer)}.items():
-            if settings[key] != value:
-                raise InvalidInputError(f"the {name} have {key} {settings[key]}, the model {value}")
+        theirs, ours = (
+            {"dim": c.dim, **{k: getattr(c.observer, k) for k in ("alpha", "detour", "label")}}
+            for c in (dataset.config, config)
+        )
+        for key, value in ours.items():
+            if theirs[key] != value:
+                raise InvalidInputError(f"the {name} have {key} {theirs[key]}, the model {value}")
 
 
 @torch.no_grad()
 def validate_dial(
     model: PathDiffuser, checks: PathBatches, levels: int = 11, samples: int = 2
 ) -> dict[str, float]:
-    """The dial on validation scenes: rank and error of the achieved label, curves inside."""
+    """The dial on validation scenes: rank and error of the achieved label, feasible curves."""
     from scipy.stats import spearmanr
 
     device, size = checks.team.device, len(checks.labels)
@@ -339,19 +375,19 @@ def validate_dial(
     shape = (size, len(asked), *checks.waypoints.shape[2:])
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
     achieved = torch.empty(shape[:2], device=device)
-    inside = torch.zeros((), device=device)
+    feasible = torch.zeros((), device=device)
     for column, level in enumerate(asked):
         waypoints = model.sample(checks.conditions, level.expand(size), noise[:, column])
         points = checks.scorer.curve(waypoints)
         achieved[:, column] = checks.scorer.label(checks.conditions, scenes, points).clamp(-1, 1)
-        inside += (checks.conditions.wall_distance(points) >= -1e-6).all(dim=1).float().mean()
+        feasible += (checks.conditions.margin(points) >= -1e-3).all(dim=1).float().mean()
     labels, wanted = achieved.cpu().numpy(), asked.cpu().numpy()
     ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in labels])
     return {
         "validation_spearman": float(ranks.mean()),
         "validation_spearman_worst": float(ranks.min()),
         "validation_error": float(np.abs(labels - wanted).mean()),
-        "validation_inside": float(inside / len(asked)),
+        "validation_feasible": float(feasible / len(asked)),
         "validation_at_1": float(labels[:, -samples:].mean()),
         "validation_at_-1": float(labels[:, :samples].mean()),
     }

@@ -1,0 +1,433 @@
+"""Projection: moves paths out of contact and keeps, or meets, their legibility score.
+
+A path's curve is a spline, linear in its K inner waypoints. So one step of Gauss–Newton on them is
+a small linear system, solved for many paths at a time. It weighs contact along the curve, the error
+of the score, excess length, jerk, and the change of the second differences, which keeps the shape.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..checks import Array
+from ..curves import NUM_WAYPOINTS, spline_matrix
+from ..frame import Frame, axes_along
+from ..intent.field import Field
+from ..intent.observer import Observer
+from ..obstacles import Solids
+from ..scene import Scene
+
+_POINTS, _PARTS = 46, 8  # points of a curve, and the parts of a step between two where it is near
+_PAD, _SLACK = 0.02, 1e-3  # clearance aimed at and needed, where start and goal allow it
+_RISE = 0.3  # by which the pad grows over progress from an end
+_CONTACT, _SCORE, _LENGTH, _JERK = 25.0, 100.0, 100.0, 1.0  # weights of squares
+_STEPS, _SOLVES = 12, 2
+_LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
+_TOLERANCE = 1e-3  # of log(−score)
+_RETRY = 0.01  # error of log(−score) above which other ways are tried
+_LEAST_COST = 1e-12
+_TOUCHING = 1e6  # merit of a path in contact
+_SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
+_TINY = 1e-30
+
+
+def project(
+    paths: Array,
+    scene: Scene,
+    target: int,
+    observer: Observer,
+    wanted: Array | None = None,
+    shortest: float | None = None,
+) -> tuple[Array, np.ndarray]:
+    """Paths moved out of contact that have the score wanted, and whether each is feasible.
+
+    A path that is feasible and has its score is returned as it is. One that cannot be made feasible
+    is returned as near to it as was found.
+
+    Args:
+        paths: `(B, K + 2, D)` [m], from the start to the goal.
+        scene: the scene.
+        target: index of the intended goal.
+        observer: whose score it is.
+        wanted: `(B,)`, the score that each path should have; its own if not given.
+        shortest: length [m] of the shortest feasible motion, which the detour refers to; that of
+            the straight line if not given and the line is free.
+
+    Returns:
+        `(B, K + 2, D)` [m] and `(B,)` bool.
+    """
+    room = _Room.of(scene, target, observer)
+    task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
+    rows = np.arange(len(paths))
+    best, merit = _descend(task, task.drawn, rows)
+    rows = np.flatnonzero(merit > _RETRY)
+    if len(rows):
+        ways = _ways_around(room, task.drawn[rows])
+        more, merits = _descend(task, ways.reshape(-1, *paths.shape[1:]), np.tile(rows, len(ways)))
+        merits = merits.reshape(len(ways), -1)
+        chosen, each = np.argmin(merits, axis=0), np.arange(len(rows))
+        better = merits[chosen, each] < merit[rows]
+        into = rows[better]
+        best[into] = more.reshape(ways.shape)[chosen, each][better]
+        merit[into] = merits[chosen, each][better]
+    moved = (best != task.drawn).any((-2, -1))
+    result = paths.copy()
+    result[moved, 1:-1] = best[moved, 1:-1] * room.scale + scene.start
+    return result, merit < _TOUCHING
+
+
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """A scene in lengths of the straight line, its start at the origin.
+
+    Attributes:
+        scale: length of the straight line [m].
+        solids: all that must not be touched.
+        field: the observer's.
+        target: index of the intended goal.
+        workspace: `(2, D)`.
+        low, high: `(T, D)`, walls that leave the pad free.
+        pad: `(T,)`, distance aimed at from solids.
+        slack: `(T,)`, least distance from everything.
+        straight: whether the straight line is free.
+    """
+
+    scale: float
+    solids: Solids
+    field: Field
+    target: int
+    workspace: Array
+    low: Array
+    high: Array
+    pad: Array
+    slack: Array
+    straight: bool
+
+    @classmethod
+    @functools.lru_cache(maxsize=64)
+    def of(cls, scene: Scene, target: int, observer: Observer) -> _Room:
+        scale = Frame.of(scene, target).scale
+        solids, field = scene.solids(target), observer.field(scene)
+        vertices = solids.vertices
+        solids = Solids(
+            (solids.centers - scene.start) / scale,
+            solids.axes,
+            solids.halves / scale,
+            solids.radii / scale,
+            (vertices - scene.start) / scale if vertices.shape[-3] else vertices,
+            solids.polygon_radii / scale,
+        )
+        field = Field(
+            (field.goals - scene.start) / scale,
+            field.precision * scale**2,
+            field.beta * scale,
+            field.log_prior,
+        )
+        low, high = workspace = (scene.workspace - scene.start) / scale
+        ends = np.stack([np.zeros(scene.dim), field.goals[target]])
+        progress = np.linspace(0, 1, _POINTS)
+        rise = _RISE * np.stack([progress, 1 - progress])[..., None]
+
+        def pad(margin: Array) -> Array:
+            """`(T, …)`, given that of the two ends, `(2, …)`."""
+            return np.minimum(np.maximum(margin, 0)[:, None] + rise, _PAD).min(0)
+
+        below, above = pad(ends - low), pad(high - ends)
+        around = pad(solids.distance(ends)[:, None])[:, 0]
+        least = np.minimum(np.minimum(below, above).min(-1), around)
+        slack = np.minimum(_SLACK, least / 2) - 1e-9 * scene.diagonal / scale
+        line = progress[:, None] * ends[1]
+        straight = bool((solids.distance(line) >= slack).all())
+        return cls(
+            scale, solids, field, target, workspace,
+            low + below, high - above, around, slack, straight,
+        )  # fmt: skip
+
+    def to_walls(self, points: Array) -> Array:
+        """Distance `(...)` of points `(..., D)` from the nearest wall, negative beyond it."""
+        low, high = self.workspace
+        return np.minimum(points - low, high - points).min(-1)
+
+    def clearance(self, points: Array) -> Array:
+        """Distance `(...)` of points `(..., D)` from everything."""
+        walls = self.to_walls(points)
+        return np.minimum(
+            walls, self.solids.distance(points.reshape(-1, points.shape[-1])).reshape(walls.shape)
+        )
+
+
+class _Curves(NamedTuple):
+    """The curves of paths, with T points each.
+
+    Attributes:
+        points: `(B, T, D)`.
+        gap: `(B, T)`, distance from solids less the pad.
+        normal: `(B, T, D)`, its gradient.
+        error: `(B,)`, of log(−score).
+        slope: `(B, K D)`, its gradient in the waypoints.
+        excess: `(B,)`, log of the length over the longest allowed.
+        stretch: `(B, K D)`, its gradient.
+    """
+
+    points: Array
+    gap: Array
+    normal: Array
+    error: Array
+    slope: Array
+    excess: Array
+    stretch: Array
+
+
+class _Task:
+    """What paths in a room should become.
+
+    Attributes:
+        drawn: `(B, K + 2, D)`, as they are.
+        cost: `(B,)`, −score wanted.
+        longest: `(B,)`, length allowed.
+        pull: `(B, K, D)`, what draws the waypoints to the shape drawn.
+    """
+
+    def __init__(
+        self,
+        room: _Room,
+        drawn: Array,
+        wanted: Array | None,
+        observer: Observer,
+        shortest: float | None,
+    ) -> None:
+        self.room, self.drawn, self.alpha = room, drawn, observer.alpha
+        matrices = _matrices(drawn.shape[-1])
+        self.cost, self.longest = self._cost(matrices.curve @ drawn)[:2]
+        if wanted is not None:
+            self.cost = np.maximum(-wanted, _LEAST_COST)
+        longest = 1 / _TINY
+        if shortest is not None:
+            longest = observer.detour * shortest / room.scale
+        elif room.straight:
+            longest = observer.detour
+        self.longest = np.maximum(self.longest, longest)
+        self.pull = matrices.shape @ drawn
+
+    def curves(self, paths: Array, rows: np.ndarray) -> _Curves:
+        """The curves of `paths (B, K + 2, D)`, of which each is of one of the `rows (B,)`."""
+        room, size = self.room, NUM_WAYPOINTS * paths.shape[-1]
+        matrices = _matrices(paths.shape[-1])
+        points = matrices.curve @ paths
+        gap, normal = room.solids.nearest(points.reshape(-1, points.shape[-1]))
+        cost, length, slope, tangents = self._cost(points, gradient=True)
+        excess = np.log(length / self.longest[rows])
+        stretch = np.zeros((len(paths), size))
+        if (excess > 0).any():
+            stretch = (matrices.change.T @ tangents).reshape(-1, size) / length[:, None]
+        return _Curves(
+            points,
+            gap.reshape(points.shape[:-1]) - room.pad,
+            normal.reshape(points.shape),
+            np.log(cost / self.cost[rows]),
+            slope.reshape(-1, size) / cost[:, None],
+            excess,
+            stretch,
+        )
+
+    def _cost(self, points: Array, gradient: bool = False) -> tuple[Array, ...]:
+        """`−L_p` (paper, eq. 4) and length `(B,)` of curves `(B, T, D)`.
+
+        With the gradient `(B, K, D)` of the first in the waypoints, and the tangents
+        `(B, T − 1, D)`. As `legibility_score`, which resamples the curve, to 0.001.
+        """
+        potential, slope = self.room.field.potential_and_gradient(points, self.room.target)
+        steps = points[:, 1:] - points[:, :-1]
+        lengths = np.sqrt(np.einsum("btd,btd->bt", steps, steps) + _TINY)
+        progress = np.zeros(potential.shape)
+        np.cumsum(lengths, axis=1, out=progress[:, 1:])
+        length = progress[:, -1].copy()
+        progress /= length[:, None]
+        decay = np.exp(-self.alpha * progress)
+        width = np.empty_like(progress)  # twice that of the trapezoidal rule
+        np.subtract(progress[:, 2:], progress[:, :-2], out=width[:, 1:-1])
+        width[:, 0], width[:, -1] = progress[:, 1], 1 - progress[:, -2]
+        weights = decay * width
+        total = weights.sum(-1, keepdims=True)
+        weights /= total
+        cost = np.einsum("bt,bt->b", weights, potential)
+        if not gradient:
+            return np.maximum(cost, _LEAST_COST), length
+        # The weights' own derivative: a step that grows shifts the progress of all points.
+        over = potential - cost[:, None]
+        density = decay * over / total
+        shift = -self.alpha * weights * over
+        shift[:, 1:-1] += density[:, :-2] - density[:, 2:]
+        shift[:, [0, -1]] = 0
+        after = np.cumsum(shift[:, :0:-1], axis=1)[:, ::-1]
+        after -= np.einsum("bt,bt->b", shift, progress)[:, None]
+        after /= length[:, None]
+        tangents = steps / lengths[..., None]
+        matrices = _matrices(points.shape[-1])
+        slope = matrices.spline.T @ (weights[..., None] * slope)
+        slope += matrices.change.T @ (after[..., None] * tangents)
+        return np.maximum(cost, _LEAST_COST), length, slope, tangents
+
+    def merit(self, paths: Array, curves: _Curves, below: Array) -> Array:
+        """How far each of `paths (B, K + 2, D)` is from what it should be, `(B,)`.
+
+        The error of its score, or at least `_TOUCHING` if it touches anything; where it is not less
+        than `below (B,)` it may be too low.
+        """
+        room = self.room
+        clear = np.minimum(curves.gap + room.pad, room.to_walls(curves.points))
+        worst = (clear - room.slack).min(-1)
+        merit = np.abs(curves.error) + np.maximum(curves.excess, 0)
+        check = (worst >= 0) & (merit < below)
+        if check.any():
+            # Between two points, where they are so near to something that the curve could touch it.
+            steps = curves.points[:, 1:] - curves.points[:, :-1]
+            apart = np.sqrt(np.einsum("btd,btd->bt", steps, steps))
+            near = clear[:, 1:] + clear[:, :-1] < 1.1 * apart + 2 * _SLACK
+            row, step = np.nonzero(near & check[:, None])
+            if len(row):
+                between = _matrices(paths.shape[-1]).between[step] @ paths[row]
+                slack = np.minimum(room.slack[1:], room.slack[:-1])[step]
+                np.minimum.at(worst, row, room.clearance(between).min(-1) - slack)
+        return np.where(worst < 0, _TOUCHING - worst, merit)
+
+    def step(self, paths: Array, rows: np.ndarray, curves: _Curves) -> Array:
+        """The paths after a step of Gauss–Newton.
+
+        Contact counts where there is any after the step, so the system is solved more than once.
+        """
+        room, dim = self.room, paths.shape[-1]
+        size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
+        points, gap, normal, error, slope, excess, stretch = curves
+        error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
+        system = matrices.stiffness + _SCORE * slope[:, :, None] * slope[:, None, :]
+        force = (self.pull[rows] - matrices.smooth @ paths).reshape(-1, size)
+        force -= (_SCORE * error)[:, None] * slope
+        if (excess > 0).any():
+            weight = _LENGTH * (excess > 0)[:, None]
+            system += weight[..., None] * stretch[:, :, None] * stretch[:, None, :]
+            force -= weight * excess[:, None] * stretch
+        ahead, moved = gap, points
+        for _ in range(_SOLVES):
+            # A matrix and a vector at each point, of the solids and of the walls.
+            active = normal * (ahead < 0)[..., None]
+            metric = active[..., :, None] * active[..., None, :]
+            inside = np.clip(moved, room.low, room.high)
+            beyond = inside != moved
+            metric[..., range(dim), range(dim)] += beyond
+            push = np.where(beyond, inside - points, 0) - active * gap[..., None]
+            dense = metric.reshape(len(paths), _POINTS, -1).swapaxes(1, 2) @ matrices.outer
+            dense = dense.reshape(-1, dim, dim, NUM_WAYPOINTS, NUM_WAYPOINTS)
+            dense = dense.transpose(0, 3, 1, 4, 2).reshape(-1, size, size)
+            right = force + _CONTACT * (matrices.spline.T @ push).reshape(-1, size)
+            change = np.linalg.solve(system + _CONTACT * dense, right[..., None])
+            change = change.reshape(-1, NUM_WAYPOINTS, dim)
+            shift = matrices.spline @ change
+            moved = points + shift
+            ahead = gap + np.einsum("btd,btd->bt", normal, shift)
+        most = np.abs(change).max((1, 2), keepdims=True)
+        paths = paths.copy()
+        paths[:, 1:-1] += change * np.minimum(1, _LONGEST_STEP / np.maximum(most, _TINY))
+        return paths
+
+
+@np.errstate(under="ignore")
+def _descend(task: _Task, paths: Array, rows: np.ndarray) -> tuple[Array, Array]:
+    """The best paths on the way from `paths (B, K + 2, D)`, and their merits `(B,)`."""
+    best, merit = paths.copy(), np.full(len(paths), np.inf)
+    left = np.arange(len(paths))
+    for i in range(_STEPS + 1):
+        curves = task.curves(paths, rows)
+        found = task.merit(paths, curves, merit[left])
+        better = found < merit[left]
+        into = left[better]
+        best[into], merit[into] = paths[better], found[better]
+        going = merit[left] > _TOLERANCE
+        if i == _STEPS or not going.any():
+            break
+        if not going.all():
+            left, paths, rows = left[going], paths[going], rows[going]
+            curves = _Curves(*(x[going] for x in curves))
+        paths = task.step(paths, rows, curves)
+    return best, merit
+
+
+def _ways_around(room: _Room, paths: Array) -> Array:
+    """`(W, B, K + 2, D)`: `paths (B, K + 2, D)` pushed sideways out of contact in several ways.
+
+    First each stretch in contact by its shortest way out, then all of them to one side and the
+    other.
+    """
+    dim = paths.shape[-1]
+    size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
+    points = matrices.curve @ paths
+    lateral = axes_along(np.gradient(points, axis=1))[:, :, 1:]
+    sides = np.concatenate([lateral, -lateral], axis=2)  # (B, T, S, D)
+    spots = points[:, :, None, None] + _SWEEP[:, None] * sides[:, :, :, None]
+    clear = room.clearance(spots) - room.pad[:, None, None]  # (B, T, S, offsets)
+    touching = clear[:, :, 0, 0] < 0
+    free = clear >= 0
+    last = len(_SWEEP) - 1
+    first = np.where(free.any(-1), np.argmax(free, axis=-1), last)
+    out = _SWEEP[first] * touching[..., None]
+    # What a way costs to a whole stretch.
+    begins = touching & ~np.pad(touching, ((0, 0), (1, 0)))[:, :-1]
+    stretch = np.cumsum(begins, axis=1) + np.arange(len(paths))[:, None] * _POINTS
+    cost = np.zeros((len(paths) * _POINTS + 1, sides.shape[2]))
+    np.add.at(cost, stretch, out**2 + (first == last) * touching[..., None])
+    shortest = np.argmin(cost, axis=1)[stretch]
+    ways = []
+    for way in (shortest, *range(sides.shape[2])):
+        way = np.broadcast_to(way, stretch.shape)[..., None]
+        normal = np.take_along_axis(sides, way[..., None], 2)[:, :, 0] * touching[..., None]
+        rows = np.einsum("tk,btd->btkd", matrices.spline, normal).reshape(-1, _POINTS, size)
+        system = matrices.stiffness + _CONTACT * rows.swapaxes(1, 2) @ rows
+        right = _CONTACT * (rows.swapaxes(1, 2) @ np.take_along_axis(out, way, 2))
+        moved = paths.copy()
+        moved[:, 1:-1] += np.linalg.solve(system, right).reshape(-1, NUM_WAYPOINTS, dim)
+        ways.append(moved)
+    return np.stack(ways)
+
+
+class _Matrices(NamedTuple):
+    """Constants of paths in D dimensions.
+
+    Attributes:
+        curve: `(T, K + 2)`, of the points.
+        between: `(T − 1, P − 1, K + 2)`, of points between them.
+        spline: `(T, K)`, of the waypoints' part of the points.
+        change: `(T − 1, K)`, of the steps between points.
+        outer: `(T, K K)`, outer products of the spline's rows.
+        shape: `(K, K + 2)`, gradient of half the squared second differences.
+        smooth: `(K, K + 2)`, the same with that of the third ones.
+        stiffness: `(K D, K D)`, of both.
+    """
+
+    curve: Array
+    between: Array
+    spline: Array
+    change: Array
+    outer: Array
+    shape: Array
+    smooth: Array
+    stiffness: Array
+
+
+@functools.lru_cache(maxsize=2)
+def _matrices(dim: int) -> _Matrices:
+    fine = spline_matrix(NUM_WAYPOINTS + 2, _PARTS * (_POINTS - 1) + 1)
+    curve = np.ascontiguousarray(fine[::_PARTS])
+    between = fine[:-1].reshape(_POINTS - 1, _PARTS, -1)[:, 1:]
+    spline = np.ascontiguousarray(curve[:, 1:-1])
+    outer = (spline[:, :, None] * spline[:, None, :]).reshape(_POINTS, -1)
+    second, third = (np.diff(np.eye(NUM_WAYPOINTS + 2), n=n, axis=0) for n in (2, 3))
+    shape = (second.T @ second)[1:-1]
+    smooth = shape + _JERK * (third.T @ third)[1:-1]
+    stiffness = np.kron(smooth[:, 1:-1], np.eye(dim))
+    return _Matrices(
+        curve, between, spline, np.diff(spline, axis=0), outer, shape, smooth, stiffness
+    )
