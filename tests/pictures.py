@@ -36,7 +36,7 @@ def rollout_of(path, states, reason="reached"):
     return Rollout(
         path, states, actions, success=reason == "reached", reason=reason, replans=(),
         deviation=np.zeros(len(actions)), step_seconds=0.05, wall_contacts=0, contacts=0,
-        corrections=0,
+        corrections=0, joint_angles=np.empty((len(states), 0)),
     )  # fmt: skip
 
 
