@@ -6,6 +6,7 @@ from PIL import Image
 import legibility as lg
 from legibility.data.dataset import paths_of
 from legibility.motion.path import Path
+from legibility.rollout import Rollout
 
 SCENES = {
     2: lg.Scene(start=[0, 0.5], goals=[[0.8, 0.6], [1, 0.3]]),
@@ -23,12 +24,20 @@ def path_of(archive, legibility):
     """The archive's paths of these levels, with that archive."""
     levels = np.asarray(legibility, dtype=float)
     waypoints = paths_of(archive)[[archive.nearest(level) for level in np.atleast_1d(levels)]]
-    path = Path(
-        archive.scene, archive.target, levels, waypoints if levels.ndim else waypoints[0],
-        np.zeros(levels.shape, dtype=bool), archive.observer,
-    )  # fmt: skip
+    waypoints = waypoints if levels.ndim else waypoints[0]
+    path = Path.through(waypoints, archive.scene, archive.target, levels, archive.observer)
     path.__dict__["archive"] = archive
     return path
+
+
+def rollout_of(path, states, reason="reached"):
+    """An execution that went through `states` in steps of 0.05 s, exactly on its path."""
+    actions = np.diff(states, axis=0)
+    return Rollout(
+        path, states, actions, success=reason == "reached", reason=reason, replans=(),
+        deviation=np.zeros(len(actions)), step_seconds=0.05, wall_contacts=0, contacts=0,
+        corrections=0, joint_angles=np.empty((len(states), 0)),
+    )  # fmt: skip
 
 
 def assert_picture(file):

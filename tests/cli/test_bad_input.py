@@ -129,7 +129,7 @@ def test_csv(content, refused):
 
 
 @pytest.mark.parametrize(
-    "flags", ["--sigma 0", "--sigma nan", "--alpha -1", "--beta inf", "--label best", "--target 9"]
+    "flags", ["--observer nobody", "--observer scene.yaml", "--observer nothing.yaml", "--target 9"]
 )
 def test_score(flags, refused):
     Path("t.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")

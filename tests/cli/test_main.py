@@ -56,7 +56,7 @@ def test_mistaken_verb_is_answered_with_the_list(line, verb, capsys):
     ("verb", "flags"),
     [
         ("plan", ["--legibility", "--figure", "--json", "--csv", "--candidates", "--guidance"]),
-        ("score", ["--sigma", "--alpha", "--beta", "--json"]),
+        ("score", ["--observer", "--target", "--json"]),
         (
             "data",
             ["--scenes", "--goals LOW..HIGH", "--workers", "--info", "--per-scene", "--label"],

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from pictures import SCENES, path_of, small_archive
+from pictures import SCENES, path_of, rollout_of, small_archive
 
 import legibility as lg
 from legibility.figures.belief import DRAGAN, describe, readers
 from legibility.figures.film import execution_figure
 from legibility.figures.paper import plan_figure
-from legibility.rollout import Rollout
 
 
 @pytest.fixture
@@ -37,7 +36,7 @@ OTHERS = {
     "gaussian, uniform, σ = 0.15 m": lg.Observer.paper(2),
     f"gaussian, neutral, σ = {0.15 * SIZE:.3g} m": lg.Observer(kind="gaussian"),
     "gaussian, prior 1 : 3, σ = 0.2 m": lg.Observer(kind="gaussian", prior=(1, 3), sigma=0.2),
-    "gaussian, neutral, σ = 0.1 m, seen from (0, -1), depth 2": lg.Observer(
+    "gaussian, neutral, σ = 0.1 m, seen from (0, −1), depth 2": lg.Observer(
         kind="gaussian", sigma=0.1, viewpoint=(0, -1), depth=2
     ),
     "boltzmann, neutral, β = 10 m⁻¹": lg.Observer(beta=10),
@@ -69,9 +68,7 @@ def test_who_reads_as_dragans_observer_is_not_shown_twice(observer):
 def rollout():
     archive = small_archive(2, 1).seen_by(lg.Observer.paper(2))
     path = path_of(archive, 0.5)
-    states = path.trajectory(13)
-    return Rollout(path, states, np.diff(states, axis=0), True, "reached", (),
-                   np.zeros(12), 0.05, 0)  # fmt: skip
+    return rollout_of(path, path.trajectory(13))
 
 
 def test_beliefs_of_a_rollout(rollout):

@@ -12,7 +12,7 @@ from matplotlib import rcParams
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from pictures import SCENES, path_of, small_archive
+from pictures import SCENES, path_of, rollout_of, small_archive
 from PIL import Image
 
 from legibility.errors import InvalidInputError, OutputError
@@ -20,7 +20,6 @@ from legibility.figures import film
 from legibility.figures.film import check_film, execution_figure, execution_film
 from legibility.figures.scene_axes import goal_colors
 from legibility.figures.style import STYLE
-from legibility.rollout import Rollout
 
 TARGET = 1
 
@@ -38,10 +37,7 @@ def motions(archives):
         archive, found = archives[dim], []
         for number, level in enumerate(levels):
             path = path_of(archive, level)
-            states = path.trajectory(steps + number + 1)
-            actions = np.diff(states, axis=0)
-            found.append(Rollout(path, states, actions, reason == "reached", reason, (),
-                                 np.zeros(len(actions)), 0.05, 0))  # fmt: skip
+            found.append(rollout_of(path, path.trajectory(steps + number + 1), reason))
         return found
 
     return build
@@ -122,15 +118,13 @@ class TestPicture:
     def test_says_the_time_to_confidence(self, motions, drawn):
         rollouts = motions(-1, 1)
         early, late = rollouts[1], rollouts[0]
-        never = Rollout(late.path, late.states[:3], late.actions[:2], False, "lost", (),
-                        np.zeros(2), 0.05, 0)  # fmt: skip
+        never = rollout_of(late.path, late.states[:3], "lost")
         _, panels = scenes_and_panels(drawn([late, early, never]))
         times = [rollout.time_to_confidence for rollout in (late, early)]
         assert 0 < times[1] < times[0]
         expected = [f"confident after {time:.2f} s" for time in times] + ["never confident"]
         assert [panel.get_title() for panel in panels] == expected
-        at_goal = Rollout(early.path, early.states[:-3:-1], early.actions[:1], True, "reached", (),
-                          early.deviation[:1], 0.05, 0)  # fmt: skip
+        at_goal = rollout_of(early.path, early.states[:-3:-1])
         assert at_goal.time_to_confidence == 0
         assert drawn([at_goal]).axes[0].get_title() == "confident from the start"
 

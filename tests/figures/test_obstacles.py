@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon as Patch
-from pictures import SCENES, assert_picture, path_of
+from pictures import SCENES, assert_picture, path_of, rollout_of
 
 import legibility as lg
 from legibility.figures import obstacles as drawing
@@ -15,7 +15,6 @@ from legibility.figures.film import execution_figure
 from legibility.figures.paper import plan_figure
 from legibility.figures.scene_axes import scene_axes
 from legibility.obstacles import Ball, Box, Polygon
-from legibility.rollout import Rollout
 
 SHAPES = {
     2: [
@@ -83,9 +82,7 @@ def test_figures_of_a_scene_with_obstacles(dim, tmp_path):
     archive = lg.build_archive(scene, 0, cells=6, random_candidates=1024, max_candidates=1024)
     plan_figure(path_of(archive, [-1, 0, 1]), tmp_path / "plan.png")
     path = path_of(archive, 0.5)
-    states = path.trajectory(12)
-    rollout = Rollout(path, states, np.diff(states, axis=0), True, "reached", (),
-                      np.zeros(11), 0.05, 0)  # fmt: skip
+    rollout = rollout_of(path, path.trajectory(12))
     execution_figure([rollout], tmp_path / "film.png")
     for name in ("plan", "film"):
         assert_picture(tmp_path / f"{name}.png")

@@ -156,7 +156,7 @@ def _print(title: str, rollouts: list[Rollout]) -> None:
     rows = output.table(
         f"{title}, for {describe(path.scene, path.observer)}", "asked ℓ", "planned ℓ", "executed ℓ",
         *(f"time to confidence [s],\n{reader.short}" for reader in shown), "steps",
-        "deviation [mm]", *["clearance [mm]"] * solid, "ended",
+        "deviation [mm]", *["clearance [mm]", "steps in\ncontact"] * solid, "ended",
     )  # fmt: skip
     for rollout in rollouts:
         times = [reader.belief(rollout)[1] for reader in shown]
@@ -165,7 +165,7 @@ def _print(title: str, rollouts: list[Rollout]) -> None:
             number(rollout.achieved),
             *(number(seconds, 2) if np.isfinite(seconds) else "never" for seconds in times),
             str(len(rollout.actions)), number(1e3 * float(rollout.deviation.mean()), 1),
-            *[number(1e3 * _clearance(rollout), 1)] * solid, rollout.reason,
+            *[number(1e3 * _clearance(rollout), 1), str(rollout.contacts)] * solid, rollout.reason,
         )  # fmt: skip
     error = float(np.mean([abs(rollout.achieved - rollout.legibility) for rollout in rollouts]))
     output.show(rows, f"mean |executed − asked| {number(error)}", *output.dial_lines(path.archive))

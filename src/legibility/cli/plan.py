@@ -48,7 +48,7 @@ def plan(
         "detour": path.length / archive.shortest_length,
         "clearance": path.clearance,
         "feasible": path.feasible,
-        "clipped": path.clipped,
+        "replaced": path.replaced,
         "waypoints": path.waypoints,
         "trajectory": path.trajectory(points),
     }
@@ -89,9 +89,9 @@ def plan(
     output.show(
         table, f"mean |achieved − asked| {output.number(error)}", *output.dial_lines(archive)
     )
-    if path.clipped.any():
-        problem = "paths left the workspace and were clipped to it"
-        output.show(f"{path.clipped.sum()} of {len(asked)} {problem}")
+    if path.replaced.any():
+        problem = "paths are the nearest of the archive: none that was drawn is feasible"
+        output.show(f"{path.replaced.sum()} of {len(asked)} {problem}")
     if not path.feasible.all():
         problem = "paths are not feasible: they come too near to something"
         output.show(f"{(~path.feasible).sum()} of {len(asked)} {problem}")

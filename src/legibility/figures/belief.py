@@ -61,7 +61,7 @@ def describe(scene: Scene, observer: Observer) -> str:
         width = f"σ = {np.linalg.eigvalsh(field.precision)[-1] ** -0.5:.3g} m"
     words.append(width.replace(" ", "\N{NO-BREAK SPACE}"))
     if observer.viewpoint is not None:
-        eyes = ", ".join(f"{x:.3g}" for x in observer.viewpoint)
+        eyes = ", ".join(f"{x:.3g}" for x in observer.viewpoint).replace("-", "−")
         words.append(f"seen from ({eyes}), depth {observer.depth:g}")
     return ", ".join(words)
 

@@ -66,7 +66,9 @@ def key(scene: Scene) -> dict[str, Any]:
     """Entries of a legend: their names and handles."""
     entries: dict[str, Any] = {}
     if scene.obstacles:
-        entries["obstacle"] = Patch(**SOLID if scene.dim == 2 else SOLID | {"hatch": None})
+        entries["obstacle"] = Patch(**SOLID)
+        if scene.dim == 3:
+            entries["obstacle"].set_hatch("")
         if scene.clearance:
             entries["clearance to keep"] = Line2D([], [], **OUTLINE)
     return entries

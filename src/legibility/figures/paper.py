@@ -119,7 +119,7 @@ def _draw_beliefs(
 ) -> None:  # fmt: skip
     """`P(g*|x_t)` of each reader over progress, one panel above the other."""
     progress = np.linspace(0, 1, curves.shape[1])
-    panel = None
+    panel: Any = None
     for row, reader in zip(cell.subgridspec(len(shown), 1), shown, strict=True):
         panel = figure.add_subplot(row, xlim=(0, 1), ylim=(0, 1.02), sharex=panel)
         if len(shown) == 1:
