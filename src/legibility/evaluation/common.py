@@ -92,7 +92,7 @@ def execute_paths(
         rollouts += execute(
             modulator, kind, [plans.scene] * len(paths), env_seed + first,
             {"target": plans.target}, legibility=[path.legibility for path in paths],
-            seed=plan_seed + first, paths=paths,
+            seed=plan_seed + first, paths=paths, observer=plans.observer,
         )  # fmt: skip
         advance(len(paths))
     return rollouts
