@@ -9,11 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from legibility import Scene
+from legibility import Ball, Box, Polygon, Scene
 from legibility.errors import InvalidInputError, InvalidSceneError, OutputError
 from legibility.scene import DEFAULT_WORKSPACE
 
 START, GOALS = [0.0, 0.5], [[0.8, 0.6], [1.0, 0.3]]
+OBSTACLES = [
+    Ball([0.4, 0.9], 0.1),
+    Box([0.5, 0.2], [0.2, 0.1], 0.3),
+    Polygon([[0.5, 0.8], [0.7, 0.8], [0.6, 1.0]]),
+]
 seeds = st.integers(0, 2**32 - 1)
 dims = st.sampled_from([2, 3])
 
@@ -30,6 +35,8 @@ def test_what_a_scene_says(scene):
     assert scene.target(1).tolist() == GOALS[1]
     assert scene.distractors(1).tolist() == [GOALS[0]]
     assert scene.contains([[0, 0], [-0.1, 1.1], [-0.2, 0]]).tolist() == [True, True, False]
+    assert scene.size == np.linalg.norm([1.0, 0.2])
+    assert (scene.obstacles, scene.goal_radius, scene.clearance) == ((), 0, 0)
 
 
 @pytest.mark.parametrize("target", [-1, 2, 0.0, "0", None])
@@ -67,6 +74,10 @@ BAD = {
     "flat workspace": ({"workspace": [[0, 0], [1, 0]]}, "a low and a high corner, got"),
     "three corners": ({"workspace": [[0, 0], [1, 1], [2, 2]]}, "a low and a high corner, got"),
     "workspace in 3D": ({"workspace": [[0, 0, 0], [1, 1, 1]]}, "workspace must have 2 numbers"),
+    "goal_radius < 0": ({"goal_radius": -1}, "goal_radius must be a number of at least 0, got -1"),
+    "clearance NaN": ({"clearance": np.nan}, "clearance must be finite, got nan"),
+    "clearance none": ({"clearance": None}, "clearance must"),
+    "start at a goal": ({"goal_radius": 0.9}, "start lies 0.806 m from a goal, within goal_radius"),
 }
 
 
@@ -75,8 +86,54 @@ def test_bad_scenes_are_named(change, message):
     content = {"start": START, "goals": GOALS} | change
     with pytest.raises(InvalidSceneError, match=message):
         Scene(**content)
-    with pytest.raises(InvalidSceneError, match=r"goals|start|workspace"):
+    with pytest.raises(InvalidSceneError, match=message):
         Scene.from_dict(content)
+
+
+BAD_OBSTACLES = {
+    "over the start": ([OBSTACLES[0], Ball(START, 0.1)], {}, r"obstacles\[1\] lies over the start"),
+    "near the start": (
+        [Ball([0, 0.7], 0.1)], {"clearance": 0.2},
+        r"obstacles\[0\] lies 0.1 m from the start \[0.0, 0.5\], within the clearance 0.2",
+    ),
+    "in 3D": ([Ball([0, 0, 0], 0.1)], {}, r"obstacles\[0\] is 3D, the scene is 2D"),
+    "mapping": ([OBSTACLES[0].to_dict()], {}, r"obstacles\[0\] must be a Ball, a Box or a Polygon"),
+    "one": (OBSTACLES[0], {}, "obstacles must be a list, got Ball"),
+    "text": ("ball", {}, "obstacles must be a list, got 'ball'"),
+    "none": (None, {}, "obstacles must be a list, got None"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("obstacles", "others", "message"), BAD_OBSTACLES.values(),
+                         ids=BAD_OBSTACLES)  # fmt: skip
+def test_bad_obstacles_are_named(obstacles, others, message):
+    with pytest.raises(InvalidSceneError, match=message):
+        Scene(START, GOALS, obstacles=obstacles, **others)
+
+
+BAD_TARGETS = {
+    "over": ([Ball([0.8, 0.65], 0.1)], {}, r"obstacles\[0\] lies over the target goals\[0\]"),
+    "near": (
+        [Ball([0.8, 0.8], 0.1)], {"clearance": 0.15},
+        r"obstacles\[0\] lies 0.1 m from the target goals\[0\] \[0.8, 0.6\], within the clearance",
+    ),
+    "beside": ([], {"goal_radius": 0.4}, r"goals\[0\] lies 0.361 m from another goal, within"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("obstacles", "others", "message"), BAD_TARGETS.values(), ids=BAD_TARGETS)
+def test_targets_where_no_motion_can_end_are_named(obstacles, others, message):
+    scene = Scene(START, GOALS, obstacles=obstacles, **others)
+    with pytest.raises(InvalidSceneError, match=message):
+        scene.check_target(0)
+    if obstacles:
+        assert scene.check_target(1) == 1
+
+
+def test_obstacles_may_touch_start_and_target():
+    scene = Scene(START, GOALS, obstacles=[Ball([0, 0.6], 0.1), Ball([0.8, 0.7], 0.1)])
+    assert scene.check_target(0) == 0
+    assert scene.feasible([START, GOALS[0]], 0)
 
 
 @pytest.mark.parametrize(
@@ -89,6 +146,13 @@ def test_bad_scenes_are_named(change, message):
         ({"start": START}, r"missing \['goals'\]"),
         ({"start": START, "goals": GOALS, "goal": 1}, r"unknown \['goal'\]"),
         ({"start": START, "goals": GOALS, 7: 1}, r"unknown \['7'\]"),
+        ({"start": START, "goals": GOALS, "obstacles": None}, "obstacles must be a list, got None"),
+        ({"start": START, "goals": GOALS, "obstacles": {"ball": 1}}, "obstacles must be a list"),
+        ({"start": START, "goals": GOALS, "obstacles": [{"cone": 1}]}, "one key, ball, box or pol"),
+        (
+            {"start": START, "goals": GOALS, "obstacles": [{"ball": {"center": START}}]},
+            "a ball has the keys center, radius",
+        ),
     ],
 )
 def test_contents_that_are_not_a_scene(content, message):
@@ -106,6 +170,34 @@ def test_round_trip_is_exact(tmp_path_factory, suffix, seed, dim):
     assert loaded == scene
     assert hash(loaded) == hash(scene)
     assert loaded.workspace.tolist() == scene.workspace.tolist()
+
+
+@pytest.mark.parametrize("name", ["scene.yaml", "scene.json"])
+def test_round_trip_with_obstacles(tmp_path, name):
+    scene = Scene(START, GOALS, None, OBSTACLES, goal_radius=0.05, clearance=0.1 / 3)
+    scene.save(tmp_path / name)
+    loaded = Scene.load(tmp_path / name)
+    assert loaded == scene
+    assert hash(loaded) == hash(scene)
+    assert repr(loaded) == repr(scene)
+
+
+def test_obstacles_of_a_file(tmp_path):
+    text = """
+start: [0, .5]
+goals: [[.8, .6], [1, .3]]
+obstacles:
+- {ball: {center: [.4, .9], radius: .1}}
+- {box: {center: [.5, .2], size: [.2, .1], yaw: .3}}
+- {polygon: [[.5, .8], [.7, .8], [.6, 1]]}
+goal_radius: .05
+"""
+    (tmp_path / "scene.yaml").write_text(text)
+    assert Scene.load(tmp_path / "scene.yaml") == Scene(START, GOALS, None, OBSTACLES, 0.05)
+
+
+def test_a_scene_without_obstacles_is_written_as_before(scene):
+    assert list(scene.to_dict()) == ["start", "goals", "workspace"]
 
 
 @pytest.mark.parametrize(
@@ -288,6 +380,7 @@ def test_a_scene_cannot_be_changed(scene):
     for name in ("start", "goals", "workspace"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(scene, name)[...] = 0
+    assert isinstance(Scene(START, GOALS, obstacles=OBSTACLES).obstacles, tuple)
 
 
 def test_a_scene_does_not_follow_the_arrays_it_was_made_from():
@@ -301,11 +394,14 @@ def test_a_scene_does_not_follow_the_arrays_it_was_made_from():
 @pytest.mark.parametrize(
     "make", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))]
 )
-def test_copies_are_equal_and_cannot_be_changed(scene, make):
+def test_copies_are_equal_and_cannot_be_changed(make):
+    scene = Scene(START, GOALS, None, OBSTACLES, 0.01, 0.02)
     again = make(scene)
     assert again == scene
-    with pytest.raises(ValueError, match="read-only"):
-        again.goals[0] = 0
+    assert hash(again) == hash(scene)
+    for array in (again.goals, again.obstacles[0].center):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
 
 
 def test_equality_and_hash(scene):
@@ -313,6 +409,13 @@ def test_equality_and_hash(scene):
     assert scene != Scene(START, GOALS[::-1])
     assert scene != Scene(START, GOALS, [[-1, -1], [2, 2]])
     assert scene != "scene"
+    others = {"obstacles": OBSTACLES, "goal_radius": 0.1, "clearance": 0.1}
+    for name, value in others.items():
+        assert scene != Scene(START, GOALS, **{name: value})
+    assert Scene(START, GOALS, **others) == Scene(START, GOALS, **others)
+    assert Scene(START, GOALS, **others) != Scene(
+        START, GOALS, **{**others, "obstacles": OBSTACLES[::-1]}
+    )
     negative_zero = Scene([-0.0, 0.5], GOALS)
     assert negative_zero == scene
     assert {scene: 1}[negative_zero] == 1
@@ -320,3 +423,118 @@ def test_equality_and_hash(scene):
 
 def test_to_dict_is_plain_json(scene):
     assert Scene.from_dict(json.loads(json.dumps(scene.to_dict()))) == scene
+
+
+def test_repr_is_short_and_python(scene):
+    assert repr(scene) == "Scene(start=[0.0, 0.5], goals=[[0.8, 0.6], [1.0, 0.3]])"
+    full = Scene(START, GOALS, [[-1, -1], [2, 2]], OBSTACLES, 0.01, 0.02)
+    assert eval(repr(full)) == full
+
+
+class TestClearance:
+    SCENE = Scene(START, GOALS, None, OBSTACLES, goal_radius=0.05, clearance=0.02)
+
+    @given(seeds)
+    def test_is_the_least_of_walls_obstacles_and_goals(self, seed):
+        scene = self.SCENE
+        points = np.random.default_rng(seed).uniform(-0.3, 1.3, (20, 2))
+        low, high = scene.workspace
+        walls = np.minimum(points - low, high - points).min(-1)
+        solid = np.min([o.signed_distance(points) for o in OBSTACLES], axis=0)
+        goal = np.linalg.norm(points - GOALS[1], axis=-1) - 0.05
+        nearest = np.minimum(walls, solid)
+        np.testing.assert_allclose(scene.clearance_at(points), nearest, atol=1e-12)
+        np.testing.assert_allclose(
+            scene.clearance_at(points, 0), np.minimum(nearest, goal), atol=1e-12
+        )
+        np.testing.assert_allclose(
+            scene.margin_at(points, 0), np.minimum(np.minimum(walls, solid - 0.02), goal),
+            atol=1e-12,
+        )  # fmt: skip
+
+    def test_feasible_are_curves_without_a_negative_margin(self):
+        straight = np.linspace(START, GOALS[0], 50)
+        through = np.linspace(START, [0.5, 0.2], 50)
+        beyond = np.linspace(START, [-0.1001, 0.5], 50)
+        past_a_goal = np.linspace(START, [1.1, 0.27], 50)
+        curves = np.stack([straight, through, beyond, past_a_goal])
+        assert self.SCENE.feasible(curves, 0).tolist() == [True, False, False, False]
+        assert self.SCENE.feasible(past_a_goal, 1)
+        assert self.SCENE.feasible([[-0.1, 0.5], [-0.1, 0.6]], 0)  # along a wall
+
+    @pytest.mark.parametrize("scene", [SCENE, Scene(START, GOALS)])
+    def test_leading_axes(self, scene):
+        points = np.random.default_rng(0).uniform(0, 1, (2, 3, 4, 2))
+        distance = scene.clearance_at(points)
+        assert distance.shape == (2, 3, 4)
+        assert scene.clearance_at(points[1, 2, 3]) == distance[1, 2, 3]
+        assert scene.feasible(points, 0).shape == (2, 3)
+
+    def test_points_of_another_dimension_are_named(self):
+        with pytest.raises(InvalidInputError, match="points must have 2 numbers"):
+            self.SCENE.clearance_at([0, 0, 0])
+
+    def test_solids_are_kept(self):
+        same = Scene(START, GOALS, None, OBSTACLES, goal_radius=0.05, clearance=0.02)
+        assert self.SCENE.solids(0) is same.solids(0)
+        assert self.SCENE.solids(0) is not same.solids(1)
+
+
+class TestStartingAt:
+    """The scene of a robot that has moved."""
+
+    def test_the_same_scene_from_the_same_place(self):
+        assert TestClearance.SCENE.starting_at(np.array(START) + 5e-5) is TestClearance.SCENE
+
+    @pytest.mark.parametrize(
+        ("position", "start"), [([0.3, 0.4], [0.3, 0.4]), ([-0.5, 0.4], [-0.1, 0.4])]
+    )
+    def test_elsewhere(self, position, start):
+        scene = TestClearance.SCENE.starting_at(np.array(position))
+        assert scene.start.tolist() == start
+        assert scene.obstacles == tuple(OBSTACLES)
+        assert (scene.goal_radius, scene.clearance) == (0.05, 0.02)
+
+    @given(seeds)
+    def test_anywhere_it_is_a_scene(self, seed):
+        rng = np.random.default_rng(seed)
+        scene, around = TestClearance.SCENE, [*GOALS, [0.4, 0.9], [0.5, 0.2], [0.6, 0.9]]
+        position = around[rng.integers(5)] + rng.normal(0, rng.choice([0, 1e-6, 0.05]), 2)
+        moved = scene.starting_at(position)
+        assert moved.margin_at(moved.start) >= -1e-8
+        assert np.linalg.norm(moved.start - position) < 0.2
+        assert len(moved.obstacles) == 3
+
+    def test_on_a_goal_it_starts_just_beside_it(self):
+        moved = Scene(START, GOALS).starting_at(np.array(GOALS[0]))
+        assert 0 < np.linalg.norm(moved.start - GOALS[0]) < 1e-4
+
+    def test_walled_in_it_leaves_the_obstacle_out(self):
+        walls = [Box([0.5, 0.5], [3, 0.2]), Box([0.5, 0.7], [3, 0.4])]
+        scene = Scene([0, 0], [[0.8, 0.1], [0.9, 0.3]], [[-0.1, -0.1], [1.1, 0.85]], walls)
+        moved = scene.starting_at(np.array([0.5, 0.8]))
+        assert moved.margin_at(moved.start) >= -1e-8
+
+
+@given(seeds, dims, st.floats(0.01, 100), st.floats(-1e3, 1e3))
+def test_clearance_moves_and_scales_with_the_scene(seed, dim, scale, offset):
+    rng = np.random.default_rng(seed)
+    scene = Scene.random(rng, dim=dim)
+    ball = Ball(rng.uniform(*scene.workspace), 0.01)
+    try:
+        scene = Scene(scene.start, scene.goals, None, [ball], goal_radius=0.02)
+    except InvalidSceneError:
+        return
+    large = Scene(
+        scale * scene.start + offset,
+        scale * scene.goals + offset,
+        scale * scene.workspace + offset,
+        [Ball(scale * ball.center + offset, scale * ball.radius)],
+        goal_radius=scale * 0.02,
+    )
+    points = rng.uniform(*scene.workspace, (20, dim))
+    np.testing.assert_allclose(
+        large.clearance_at(scale * points + offset, 0), scale * scene.clearance_at(points, 0),
+        atol=1e-9 * max(scale, 1e3),
+    )  # fmt: skip
+    assert large.size == pytest.approx(scale * scene.size)

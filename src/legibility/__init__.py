@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 from . import envs as envs  # registers the Gymnasium environments; making one loads its code
 from . import errors
 from .intent import labels, metrics
-from .intent.field import InformationPotentialField
+from .intent.field import Field, InformationPotentialField
 from .intent.observer import Observer
 from .motion.archive import Archive, build_archive
 from .motion.path import Path
+from .obstacles import Ball, Box, Polygon
 from .scene import Scene
 
 if TYPE_CHECKING:
@@ -20,10 +21,14 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Archive",
+    "Ball",
+    "Box",
+    "Field",
     "InformationPotentialField",
     "Modulator",
     "Observer",
     "Path",
+    "Polygon",
     "Rollout",
     "Scene",
     "__version__",

@@ -72,6 +72,7 @@ def prior_array(value: ArrayLike | None, num_goals: int) -> Array:
         raise InvalidInputError(
             f"prior must be {num_goals} numbers above 0, got {_short(prior.tolist())}"
         )
+    prior = prior / prior.max()
     return prior / prior.sum()
 
 

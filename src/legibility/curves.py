@@ -127,14 +127,18 @@ def spline_matrix(num_knots: int, num_points: int) -> Array:
 
 @np.errstate(under="ignore")
 def farthest_from_segment(trajectory: Array, start: Array, end: Array) -> Array:
-    """The most deviating point `(..., D)` of each trajectory from the straight line start–end."""
+    """The most deviating point `(..., D)` of each trajectory from the straight line start–end.
+
+    One in the middle if the trajectory is that line to rounding.
+    """
     direction = end - start
     squared = direction @ direction
     # One coordinate at a time: sums over a short last axis are slow in NumPy.
     axes = [(trajectory[..., d] - start[d], direction[d]) for d in range(len(start))]
     along = np.clip(sum(offset * (v / squared) for offset, v in axes), 0, 1)
     gaps = np.asarray(sum((offset - along * v) ** 2 for offset, v in axes))
-    index = np.argmax(gaps, axis=-1)[..., None, None]
+    straight = gaps.max(-1) < 1e-18 * squared
+    index = np.where(straight, gaps.shape[-1] // 2, np.argmax(gaps, axis=-1))[..., None, None]
     return np.take_along_axis(trajectory, index, axis=-2)[..., 0, :]
 
 

@@ -67,6 +67,16 @@ def write_json(path: str | Path, content: Any) -> None:
     write_bytes(path, text.encode(errors="backslashreplace"))
 
 
+def write_document(path: str | Path, content: Any) -> None:
+    """Write `content` as JSON if the path's suffix is .json, as YAML otherwise."""
+    if Path(path).suffix.lower() == ".json":
+        return write_json(path, content)
+    import yaml
+
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+    return write_bytes(path, text.encode())
+
+
 def file_hash(path: str | Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with open(path, "rb") as handle:

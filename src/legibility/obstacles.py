@@ -20,13 +20,12 @@ from .errors import InvalidInputError, InvalidSceneError
 
 _TINY = 1e-30  # under a square root, whose gradient at 0 is infinite
 _FAR = -1e6  # the radius of a solid that is not there
-_SMALLEST_TURN = 1e-9
 
 
 class _Obstacle:
     """Obstacles are immutable; equal ones compare equal and hash alike."""
 
-    def _set(self, **values: Array | float) -> None:
+    def _set(self, **values: Array | float | None) -> None:
         for name, value in values.items():
             if isinstance(value, np.ndarray):
                 value = value + 0.0
@@ -48,16 +47,25 @@ class _Obstacle:
         flat = points.reshape(-1, self.dim)
         return solids_of([self], self.dim).distance(flat).reshape(points.shape[:-1])
 
+    @functools.cached_property
+    def _text(self) -> str:
+        return repr(self.to_dict())
+
     def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and repr(self.to_dict()) == repr(other.to_dict())  # pyright: ignore
+        return isinstance(other, _Obstacle) and self._text == other._text
 
     def __hash__(self) -> int:
-        return hash(repr(self.to_dict()))
+        return hash(self._text)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return obstacle_from_dict, (self.to_dict(),)  # copies stay read-only
 
     def __repr__(self) -> str:
-        ((_, values),) = self.to_dict().items()
-        if not isinstance(values, dict):
-            values = {"vertices": values}
+        ((kind, values),) = self.to_dict().items()
+        values = {"vertices": values} if kind == "polygon" else values
+        if "yaw" in values:
+            values = {**values, "rotation": values["yaw"]}
+            del values["yaw"]
         inner = ", ".join(f"{name}={value}" for name, value in values.items())
         return f"{type(self).__name__}({inner})"
 
@@ -99,7 +107,8 @@ class Box(_Obstacle):
         center: `(D,)` [m].
         size: `(D,)` [m], full length along each of its own axes, above 0.
         rotation: the yaw [rad], by which it is turned in the plane or about the vertical, or a
-            rotation matrix `(D, D)` from its own axes to the world's; none if not given.
+            rotation matrix `(D, D)` from its own axes to the world's; none if not given. A yaw is
+            kept as the attribute `yaw`.
 
     Raises:
         InvalidSceneError: any other value.
@@ -108,27 +117,28 @@ class Box(_Obstacle):
     center: Array
     size: Array
     rotation: Array
+    yaw: float | None
 
     def __init__(
         self, center: ArrayLike, size: ArrayLike, rotation: ArrayLike | None = None
     ) -> None:
         error = InvalidSceneError
         center = finite_array("center", center, ndim=1, last=(2, 3), error=error)
-        size = finite_array("size", size, ndim=1, last=len(center), error=error)
+        dim = len(center)
+        size = finite_array("size", size, ndim=1, last=dim, error=error)
         if (size <= 0).any():
             raise error(f"size must be above 0 along each axis, got {size.tolist()}")
         turned = finite_array("rotation", 0.0 if rotation is None else rotation, error=error)
-        if turned.ndim == 0:
-            turned = _yawed(float(turned), len(center))
-        if turned.shape != (len(center),) * 2 or not (
-            np.allclose(turned @ turned.T, np.eye(len(center)), atol=1e-6)
-            and np.linalg.det(turned) > 0
+        yaw = float(turned) if turned.ndim == 0 else None
+        if yaw is not None:
+            turned = _yawed(yaw, dim)
+        if turned.shape != (dim, dim) or not (
+            np.allclose(turned @ turned.T, np.eye(dim), atol=1e-6) and np.linalg.det(turned) > 0
         ):
             raise error(
-                f"rotation must be a yaw or a rotation matrix {(len(center),) * 2}, "
-                f"got {turned.tolist()}"
+                f"rotation must be a yaw or a rotation matrix {(dim, dim)}, got {turned.tolist()}"
             )
-        self._set(center=center, size=size, rotation=turned)
+        self._set(center=center, size=size, rotation=turned, yaw=yaw)
 
     @property
     def dim(self) -> int:
@@ -136,13 +146,12 @@ class Box(_Obstacle):
         return len(self.center)
 
     def to_dict(self) -> dict[str, Any]:
-        """`{"box": {"center": …, "size": …, "yaw": …}}`, or with `rotation` if it is tilted."""
+        """`{"box": {"center": …, "size": …, "yaw": …}}`, or `rotation` if it was a matrix."""
         content: dict[str, Any] = {"center": self.center.tolist(), "size": self.size.tolist()}
-        yaw = float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]))
-        if np.abs(_yawed(yaw, self.dim) - self.rotation).max() > _SMALLEST_TURN:
+        if self.yaw is None:
             content["rotation"] = self.rotation.tolist()
-        elif abs(yaw) > _SMALLEST_TURN:
-            content["yaw"] = yaw
+        elif self.yaw:
+            content["yaw"] = self.yaw
         return {"box": content}
 
 
@@ -251,72 +260,61 @@ class Solids(NamedTuple):
     def nearest(self, points: Any, gradient: bool = True) -> tuple[Any, Any]:
         """Signed distance `(..., K)` of points `(..., K, D)`, and its gradient `(..., K, D)`."""
         xp = np if isinstance(points, np.ndarray) else sys.modules["torch"]
-        distances, slopes = self._boxes(xp, points, gradient)
+        # Points come last, where arrays are long: sums over a short last axis are slow in NumPy.
+        columns = xp.swapaxes(points, -1, -2)[..., None, :, :]
+        distances, slopes = self._boxes(xp, columns, gradient)
         if self.vertices.shape[-3]:
-            more, steeper = self._polygons(xp, points, gradient)
+            more, steeper = self._polygons(xp, columns, gradient)
             distances = xp.concatenate([distances, more], -2)
             slopes = xp.concatenate([slopes, steeper], -3) if gradient else None
         least = xp.amin(distances, -2)
         if not gradient:
             return least, None
-        chosen = distances == least[..., None, :]
-        chosen = chosen / chosen.sum(-2)[..., None, :]
-        return least, (chosen[..., None] * slopes).sum(-3)
+        slopes = _mean(distances == least[..., None, :], slopes)
+        return least, xp.swapaxes(slopes, -1, -2)
 
-    def _boxes(self, xp: Any, points: Any, gradient: bool) -> tuple[Any, Any]:
-        # One coordinate at a time: reductions over a short last axis are slow in NumPy.
-        dims = range(points.shape[-1])
-        offset = [points[..., None, :, d] - self.centers[..., :, None, d] for d in dims]
-        local = [sum(self.axes[..., i, d, None] * offset[d] for d in dims) for i in dims]
-        beyond = [abs(local[i]) - self.halves[..., i, None] for i in dims]
-        outer = [b.clip(min=0) for b in beyond]
-        reach = xp.sqrt(sum(o * o for o in outer) + _TINY)
-        most = functools.reduce(xp.maximum, beyond)
+    def _boxes(self, xp: Any, columns: Any, gradient: bool) -> tuple[Any, Any]:
+        """Distances `(..., O, K)` and gradients `(..., O, D, K)` at `columns (..., 1, D, K)`."""
+        local = self.axes @ (columns - self.centers[..., None])
+        beyond = abs(local) - self.halves[..., None]
+        outer = beyond.clip(min=0)
+        reach = xp.sqrt((outer * outer).sum(-2) + _TINY)
+        most = xp.amax(beyond, -2)
         distance = reach + most.clip(max=0) - self.radii[..., None]
         if not gradient:
             return distance, None
-        face = [b == most for b in beyond]
-        shared = sum(1.0 * f for f in face)
-        slope = [
-            xp.where(most > 0, o / reach, f / shared) for o, f in zip(outer, face, strict=True)
-        ]
-        slope = [xp.where(x < 0, -g, g) for x, g in zip(local, slope, strict=True)]
-        world = [sum(self.axes[..., i, d, None] * slope[i] for i in dims) for d in dims]
-        return distance, xp.stack(world, -1)
+        face = beyond == most[..., None, :]
+        face = face / face.sum(-2)[..., None, :]
+        slope = xp.where(most[..., None, :] > 0, outer / reach[..., None, :], face)
+        return distance, xp.swapaxes(self.axes, -1, -2) @ xp.where(local < 0, -slope, slope)
 
-    def _polygons(self, xp: Any, points: Any, gradient: bool) -> tuple[Any, Any]:
-        x, y = points[..., None, :, 0], points[..., None, :, 1]
-        number = self.vertices.shape[-2]
-        parts = []
-        for v in range(number):  # one edge at a time, likewise
-            corner, end = (
-                self.vertices[..., v, :, None],
-                self.vertices[..., (v + 1) % number, :, None],
-            )
-            ex, ey = end[..., 0, :] - corner[..., 0, :], end[..., 1, :] - corner[..., 1, :]
-            squared = ex * ex + ey * ey
-            dx, dy = x - corner[..., 0, :], y - corner[..., 1, :]
-            along = ((dx * ex + dy * ey) / (squared + _TINY)).clip(min=0, max=1)
-            gx, gy = dx - along * ex, dy - along * ey
-            length = xp.sqrt(squared + _TINY)
-            nx, ny = ey / length, -ex / length
-            depth = xp.where(squared > 0, dx * nx + dy * ny, -np.inf)
-            parts.append((gx * gx + gy * gy, depth, gx, gy, nx, ny))
-        closest = functools.reduce(xp.minimum, [part[0] for part in parts])
-        deepest = functools.reduce(xp.maximum, [part[1] for part in parts])
-        inside, reach = deepest < 0, xp.sqrt(closest + _TINY)
+    def _polygons(self, xp: Any, columns: Any, gradient: bool) -> tuple[Any, Any]:
+        """As `_boxes`, `(..., Q, K)` and `(..., Q, 2, K)`."""
+        corners = self.vertices[..., None]  # (..., Q, V, 2, 1)
+        edges = xp.roll(self.vertices, -1, -2)[..., None] - corners
+        offset = columns[..., None, :, :] - corners  # (..., Q, V, 2, K)
+        squared = (edges * edges).sum(-2)
+        along = ((offset * edges).sum(-2) / (squared + _TINY)).clip(min=0, max=1)
+        gaps = offset - along[..., None, :] * edges
+        apart = (gaps * gaps).sum(-2)  # (..., Q, V, K)
+        closest = xp.amin(apart, -2)
+        reach = xp.sqrt(closest + _TINY)
+        normals = xp.stack([edges[..., 1, :], -edges[..., 0, :]], -2)
+        normals = normals / xp.sqrt(squared + _TINY)[..., None, :]
+        depth = xp.where(squared > 0, (offset * normals).sum(-2), -np.inf)
+        deepest = xp.amax(depth, -2)
+        inside = deepest <= 0
         distance = xp.where(inside, deepest, reach) - self.polygon_radii[..., None]
         if not gradient:
             return distance, None
-        side, near = (
-            [1.0 * (part[i] == best) for part in parts] for i, best in ((1, deepest), (0, closest))
-        )
-        slope = []
-        for i, j in ((2, 4), (3, 5)):
-            outward = sum(n * part[i] for n, part in zip(near, parts, strict=True)) / sum(near)
-            inward = sum(s * part[j] for s, part in zip(side, parts, strict=True)) / sum(side)
-            slope.append(xp.where(inside, inward, outward / reach))
-        return distance, xp.stack(slope, -1)
+        inward = _mean(depth == deepest[..., None, :], normals)
+        outward = _mean(apart == closest[..., None, :], gaps) / reach[..., None, :]
+        return distance, xp.where(inside[..., None, :], inward, outward)
+
+
+def _mean(chosen: Any, vectors: Any) -> Any:
+    """The mean over V of `vectors (..., V, D, K)` where `chosen (..., V, K)`."""
+    return ((chosen / chosen.sum(-2)[..., None, :])[..., None, :] * vectors).sum(-3)
 
 
 def solids_of(

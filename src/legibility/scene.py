@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from .checks import Array, bounded, count, finite_array, target_index
 from .errors import InvalidInputError, InvalidSceneError
-from .files import read_document, write_bytes, write_json
+from .files import read_document, write_document
 from .obstacles import Obstacle, Solids, obstacle_from_dict, solids_of
 
 DEFAULT_WORKSPACE = {2: ((-0.1, -0.1), (1.1, 1.1)), 3: ((-0.30, -0.30, 0.02), (0.10, 0.30, 0.40))}
@@ -29,13 +29,15 @@ START_OVERSHOOT = {2: _ROUNDING, 3: 0.03}
 """Largest excess of a start beyond a wall, as a share of the workspace's diagonal: 24 mm at the
 Panda's table, where the simulated arms overshoot by up to 22 mm."""
 
+TOUCH = 1e-9
+"""A motion may touch what it must keep clear of, to this share of the workspace's diagonal."""
+
 _AT_START, _BESIDE = 1e-4, 1e-5
 _BLOCK_HEIGHT = 0.04
 _KEYS = ("start", "goals", "workspace", "obstacles", "goal_radius", "clearance")
-_TOUCH = 1e-9  # of the diagonal: a motion may touch what it must keep from
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Scene:
     """Start, goals, workspace and obstacles, all in metres in the environment's world frame.
 
@@ -114,7 +116,7 @@ class Scene:
         """Raise if an obstacle lies over `point`, or within the clearance of it."""
         for i, obstacle in enumerate(self.obstacles):
             apart = float(obstacle.signed_distance(point))
-            if apart < self.clearance - _TOUCH * self.diagonal:
+            if apart < self.clearance - TOUCH * self.diagonal:
                 where = "over" if apart < 0 else f"{apart:.3g} m from"
                 raise InvalidSceneError(
                     f"obstacles[{i}] lies {where} the {name} {point.tolist()}"
@@ -153,7 +155,10 @@ class Scene:
 
     def _distance(self, points: ArrayLike, solids: Solids) -> Array:
         points = finite_array("points", points, min_ndim=1, last=self.dim)
-        walls = self._walls(points)
+        (low, high), dims = self.workspace, range(self.dim)
+        # One coordinate at a time: reductions over a short last axis are slow in NumPy.
+        gaps = [np.minimum(points[..., d] - low[d], high[d] - points[..., d]) for d in dims]
+        walls = functools.reduce(np.minimum, gaps)
         if not self.obstacles and not self.goal_radius:
             return walls
         flat = points.reshape(-1, self.dim)
@@ -161,7 +166,7 @@ class Scene:
 
     def feasible(self, curves: ArrayLike, target: int) -> np.ndarray:
         """Whether each of `curves (..., T, D)` [m] keeps clear of everything, `(...)` bool."""
-        return (self.margin_at(curves, target) >= -_TOUCH * self.diagonal).all(-1)
+        return (self.margin_at(curves, target) >= -TOUCH * self.diagonal).all(-1)
 
     @property
     def size(self) -> float:
@@ -192,16 +197,14 @@ class Scene:
         """Positions `(G − 1, D)` [m] of all other goals."""
         return np.delete(self.goals, target_index(target, self.num_goals), axis=0)
 
-    def contains(self, points: ArrayLike, tolerance: float = 1e-9) -> np.ndarray:
-        """Whether each of `points (..., D)` [m] lies in the workspace, `(...)` bool."""
-        return self._walls(np.asarray(points)) >= -tolerance
+    def contains(self, points: ArrayLike, tolerance: float = TOUCH) -> np.ndarray:
+        """Whether each of `points (..., D)` [m] lies in the workspace, `(...)` bool.
 
-    def _walls(self, points: np.ndarray) -> np.ndarray:
-        """Distance [m] of `points (..., D)` from the nearest wall, `(...)`, negative outside."""
-        # One coordinate at a time: reductions over a short last axis are slow in NumPy.
-        (low, high), axes = self.workspace, range(self.dim)
-        gaps = [np.minimum(points[..., d] - low[d], high[d] - points[..., d]) for d in axes]
-        return functools.reduce(np.minimum, gaps)
+        Or beyond it by at most `tolerance`, a share of the diagonal.
+        """
+        points, tolerance = np.asarray(points), tolerance * self.diagonal
+        low, high = self.workspace
+        return ((points >= low - tolerance) & (points <= high + tolerance)).all(-1)
 
     def starting_at(self, position: Array) -> Scene:
         """The scene for a robot that now stands at `position (D,)` [m].
@@ -229,7 +232,7 @@ class Scene:
             distance, slope = solids.nearest(start[None])
             if distance[0] >= 0:
                 break
-            start = start + (_TOUCH * self.diagonal - distance[0]) * slope[0]
+            start = start + (TOUCH * self.diagonal - distance[0]) * slope[0]
             start = np.clip(start, *self.workspace)
         apart = [float(obstacle.signed_distance(start)) for obstacle in obstacles]
         nearest = float(np.linalg.norm(self.goals - start, axis=-1).min())
@@ -250,8 +253,20 @@ class Scene:
         )
 
     def __hash__(self) -> int:
+        return self._hash
+
+    @functools.cached_property
+    def _hash(self) -> int:
         arrays = (self.start.tobytes(), self.goals.tobytes(), self.workspace.tobytes())
         return hash((arrays, self.obstacles, self.goal_radius, self.clearance))
+
+    def __repr__(self) -> str:
+        content = self.to_dict()
+        if np.array_equal(self.workspace, DEFAULT_WORKSPACE[self.dim]):
+            del content["workspace"]
+        if self.obstacles:
+            content["obstacles"] = list(self.obstacles)
+        return f"Scene({', '.join(f'{name}={value}' for name, value in content.items())})"
 
     def __reduce__(self) -> tuple[type[Scene], tuple[Any, ...]]:
         return Scene, tuple(getattr(self, name) for name in _KEYS)  # copies stay read-only
@@ -271,8 +286,8 @@ class Scene:
         """The inverse of `to_dict`; all but `start` and `goals` may be left out."""
         if not isinstance(content, dict):
             raise InvalidSceneError(
-                "a scene must be a mapping with the keys start, goals and optionally others; got "
-                f" {'nothing' if content is None else type(content).__name__}"
+                "a scene must be a mapping with the keys start, goals and optionally others, got "
+                f"{'nothing' if content is None else type(content).__name__}"
             )
         differences = {
             "unknown": content.keys() - _KEYS,
@@ -291,13 +306,7 @@ class Scene:
     def save(self, path: str | Path) -> None:
         """Write the scene as YAML or JSON, by the file's suffix (.yaml, .yml, .json)."""
         _check_suffix(path)
-        if Path(path).suffix.lower() == ".json":
-            write_json(path, self.to_dict())
-        else:
-            import yaml
-
-            text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
-            write_bytes(path, text.encode())
+        write_document(path, self.to_dict())
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:

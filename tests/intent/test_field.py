@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from legibility import InformationPotentialField
+from legibility import Field, InformationPotentialField
 from legibility.errors import InvalidInputError
 
 seeds = st.integers(0, 2**32 - 1)
@@ -239,9 +239,93 @@ def test_bad_grids_are_named():
         field.potential([0, 0], -1)
 
 
+def random_precision(rng, dim):
+    axes = rotation(rng, dim)
+    return axes @ np.diag(rng.uniform(1, 50, dim)) @ axes.T
+
+
+@given(seeds, counts, dims)
+def test_posterior_is_bayes_rule_with_any_energy(seed, num_goals, dim):
+    rng = np.random.default_rng(seed)
+    goals, precision = rng.uniform(0, 1, (num_goals, dim)), random_precision(rng, dim)
+    beta, log_prior = rng.uniform(0, 20), rng.normal(size=num_goals)
+    field = Field(goals, precision, beta, log_prior)
+    x = rng.uniform(0, 1, (20, dim))
+    offset = x[:, None] - goals
+    energy = np.einsum("xgi,ij,xgj->xg", offset, precision, offset) / 2
+    energy += beta * np.linalg.norm(offset, axis=-1)
+    joint = np.exp(log_prior - energy)
+    np.testing.assert_allclose(field.posterior(x), joint / joint.sum(-1, keepdims=True), atol=1e-12)
+    for target in range(num_goals):
+        np.testing.assert_allclose(
+            field.potential(x, target), -field.log_posterior(x)[..., target], rtol=1e-9, atol=1e-9
+        )
+    weights = np.exp(log_prior)
+    np.testing.assert_allclose(field.prior, weights / weights.sum())
+
+
+@given(seeds, counts, dims)
+def test_a_field_with_both_energies_moves_turns_and_scales_with_the_world(seed, num_goals, dim):
+    rng = np.random.default_rng(seed)
+    goals, precision = rng.uniform(0, 1, (num_goals, dim)), random_precision(rng, dim)
+    turn, shift, scale = rotation(rng, dim), rng.normal(size=dim), rng.uniform(0.1, 10)
+
+    def moved(points):
+        return scale * points @ turn.T + shift
+
+    x = rng.normal(size=(10, dim))
+    field = Field(goals, precision, 5)
+    other = Field(moved(goals), turn @ precision @ turn.T / scale**2, 5 / scale)
+    np.testing.assert_allclose(
+        other.potential(moved(x), 0), field.potential(x, 0), rtol=1e-8, atol=1e-12
+    )
+
+
+@given(seeds, dims, st.sampled_from([1e3, 1e6, 1e9]))
+def test_far_away_the_boltzmann_posterior_depends_on_the_direction_alone(seed, dim, distance):
+    """‖x − g‖ − ‖x − h‖ becomes (h − g)·x/‖x‖."""
+    rng = np.random.default_rng(seed)
+    goals, direction = rng.uniform(0, 1, (3, dim)), rng.normal(size=dim)
+    direction /= np.linalg.norm(direction)
+    log_posterior = Field(goals, beta=5).log_posterior(distance * direction)
+    expected = 5 * goals @ direction
+    np.testing.assert_allclose(
+        np.diff(log_posterior), np.diff(expected), atol=20 / distance + 1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "sigma or beta must tell the goals apart"),
+        ({"beta": -1}, "beta must be a number of at least 0, got -1"),
+        ({"beta": np.nan}, "beta must be finite"),
+        ({"beta": 1e200}, "beta must not be infinite beside"),
+        ({"precision": np.eye(3)}, "precision must have 2 numbers"),
+        ({"precision": [[1.0, 0]]}, "precision must be positive semi-definite and 2 by 2"),
+        ({"precision": [[1, 0], [0, -1]]}, "precision must be positive semi-definite"),
+        ({"precision": [[1, 0.5], [0, 1]]}, "precision must be positive semi-definite"),
+        ({"precision": [[1, np.inf], [0, 1]]}, "precision must be finite"),
+        ({"beta": 1, "log_prior": [0]}, "log_prior must be 2 numbers, got 1"),
+        ({"beta": 1, "log_prior": [0, -np.inf]}, "log_prior must be finite"),
+    ],
+    ids=str,
+)
+def test_bad_energies_are_named(arguments, message):
+    with pytest.raises(InvalidInputError, match=message):
+        Field([[0, 0], [1, 0]], **arguments)
+
+
+def test_a_precision_without_full_rank_reads_along_its_axes_alone():
+    direction = np.array([3.0, 1.0])
+    field = Field([[0, 0], [1, 0]], np.outer(direction, direction))
+    x, across = np.array([0.3, 0.2]), np.array([-1.0, 3.0])
+    np.testing.assert_allclose(field.posterior(x + across), field.posterior(x))
+
+
 @pytest.mark.parametrize("sigma", [1e160, 1e200, 1e-170])
 def test_a_sigma_that_tells_nothing(sigma):
-    with pytest.raises(InvalidInputError, match="sigma must"):
+    with pytest.raises(InvalidInputError, match=r"^sigma (or beta )?must"):
         InformationPotentialField([[0, 0], [1, 0]], sigma)
 
 
@@ -252,3 +336,11 @@ def test_a_field_cannot_be_changed():
             setattr(field, name, value)
     with pytest.raises(ValueError, match="read-only"):
         field.goals[0, 0] = 1.0
+
+
+def test_reprs_are_short():
+    assert repr(InformationPotentialField([[0, 0], [1, 0]], 0.1)) == (
+        "InformationPotentialField(goals=[[0.0, 0.0], [1.0, 0.0]], sigma=0.1, prior=[0.5, 0.5])"
+    )
+    field = Field([[0, 0], [1, 0]], beta=3)
+    assert repr(eval(repr(field))) == repr(field)

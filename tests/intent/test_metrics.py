@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from legibility import InformationPotentialField, metrics
+from legibility import Field, InformationPotentialField, Observer, Scene, metrics
 from legibility.errors import InvalidInputError
 
 seeds = st.integers(0, 2**32 - 1)
@@ -225,6 +225,28 @@ class TestDragan:
         assert np.isfinite(posterior).all()
         np.testing.assert_allclose(posterior.sum(-1), 1)
         assert posterior[-1, 0] == 1
+
+    @given(seeds, counts, dims, st.floats(0.01, 100))
+    def test_beta_not_given_follows_the_size_of_start_and_goals(self, seed, num_goals, dim, scale):
+        _, field, _, trajectory = random_case(seed, num_goals, dim)
+        points = np.concatenate([trajectory[:1], field.goals])
+        size = np.linalg.norm(points[:, None] - points, axis=-1).max()
+        expected = metrics.dragan_posterior(trajectory, field.goals, 20 / size)
+        large, goals = scale * trajectory, scale * field.goals
+        np.testing.assert_allclose(metrics.dragan_posterior(large, goals), expected, atol=1e-9)
+        # Squared velocity: 20 over ½ size² / duration, whatever the duration.
+        squared = metrics.dragan_posterior(
+            trajectory, field.goals, 20 / (size**2 / (2 * 19 * 0.1)), None, "squared_velocity", 0.1
+        )
+        for step in (0.1, 1.0):
+            again = metrics.dragan_posterior(large, goals, cost="squared_velocity", time_step=step)
+            np.testing.assert_allclose(again, squared, atol=1e-9)
+
+    def test_each_start_has_its_beta(self):
+        many = np.random.default_rng(0).uniform(0, 5, (4, 10, 2))
+        together = metrics.dragan_posterior(many, GOALS)
+        for one, posterior in zip(many, together, strict=True):
+            np.testing.assert_allclose(metrics.dragan_posterior(one, GOALS), posterior)
 
     def test_time_step_only_rescales_beta(self):
         _, field, _, trajectory = random_case(0, 3, 2)
@@ -473,6 +495,20 @@ class TestBadTrajectories:
             metrics.legibility_score(self.LINE, self.FIELD, 0, alpha)
         with pytest.raises(InvalidInputError, match=r"^alpha must"):
             metrics.evaluate_trajectory(self.LINE, self.FIELD, 0, alpha)
+
+
+@given(seeds, counts, dims)
+def test_dragans_observer_is_shown_as_the_default_observer_sees_it(seed, num_goals, dim):
+    """Whatever the field's own observer."""
+    _, paper, target, trajectory = random_case(seed, num_goals, dim)
+    scene = Scene(trajectory[0], paper.goals, [np.full(dim, -1), np.full(dim, 2)])
+    default = Observer().field(scene)
+    assert isinstance(default, Field)
+    shown = metrics.evaluate_trajectory(trajectory, paper, target)
+    own = metrics.evaluate_trajectory(trajectory, default, target)
+    for name in ("legibility", "early_intent", "mean_entropy"):
+        assert own[f"field_{name}"] == pytest.approx(own[f"dragan_{name}"], rel=1e-9)
+        assert shown[f"dragan_{name}"] == pytest.approx(own[f"dragan_{name}"], rel=1e-12)
 
 
 def test_every_public_name_is_there():

@@ -11,17 +11,56 @@ from segments import distance_to_segment
 
 import legibility as lg
 from legibility.curves import arc_length, farthest_from_segment
-from legibility.errors import InvalidInputError
+from legibility.errors import InvalidInputError, InvalidSceneError
 from legibility.intent.metrics import DEFAULT_ALPHA, SCORE_POINTS
-from legibility.motion.archive import DEFAULT_CELLS, Archive, CurveGrid, build_archive
-from legibility.motion.bezier import bending_energy, bezier_trajectories, straight_controls
+from legibility.motion.archive import (
+    SMALLEST_RANGE,
+    Archive,
+    CurveGrid,
+    build_archive,
+    free,
+    scene_archive,
+)
+from legibility.motion.bezier import (
+    bending_energy,
+    bezier_points,
+    bezier_trajectories,
+    crosses_itself,
+    straight_controls,
+)
 
 PAPER = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
+BLOCKED = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[lg.Ball([0.4, 0.52], 0.1)])
+CLUTTERED = lg.Scene(
+    [0, 0.5],
+    [[0.8, 0.6], [1, 0.3]],
+    None,
+    [
+        lg.Ball([0.4, 0.55], 0.1),
+        lg.Box([0.5, 0.2], [0.2, 0.1], 0.4),
+        lg.Polygon([[0.5, 0.8], [0.7, 0.8], [0.6, 1]]),
+    ],
+    goal_radius=0.03,
+    clearance=0.01,
+)
+SOLID = lg.Scene(
+    [-0.25, 0.2, 0.3],
+    [[0.05, -0.1, 0.1], [0, 0.2, 0.04], [-0.1, -0.2, 0.04]],
+    None,
+    [lg.Ball([-0.1, 0.05, 0.2], 0.05), lg.Box([-0.15, -0.1, 0.1], [0.1, 0.1, 0.2], 0.5)],
+    goal_radius=0.03,
+)
 levels = st.floats(-1, 1)
 
 
 def random_scene(seed, dim, num_goals=None):
     return lg.Scene.random(np.random.default_rng(seed), dim=dim, num_goals=num_goals)
+
+
+def grid_of(archive):
+    """An empty grid like that of the fixture."""
+    longest = archive.observer.detour * archive.shortest_length
+    return CurveGrid(archive.scene, 1, longest, 12 if archive.scene.dim == 2 else 6)
 
 
 def random_controls(rng, scene, num, target=0):
@@ -36,7 +75,7 @@ def random_controls(rng, scene, num, target=0):
 @pytest.fixture(scope="module", params=[(2, "anchored"), (2, "rank"), (3, "anchored")], ids=str)
 def archive(request):
     dim, label = request.param
-    observer, cells = lg.Observer(label=label), 20 if dim == 2 else 8
+    observer, cells = lg.Observer(label=label), 12 if dim == 2 else 6
     return build_archive(random_scene(5, dim, 4), 1, seed=3, observer=observer, cells=cells)
 
 
@@ -47,23 +86,27 @@ def ours_and_pyribs(request):
     dim, cells = request.param
     rng = np.random.default_rng(dim)
     scene = random_scene(dim, dim)
-    low, high = scene.workspace
-    ours = CurveGrid(scene, 0, cells)
+    longest = 2 * np.linalg.norm(scene.goals[0] - scene.start)
+    ours = CurveGrid(scene, 0, longest, cells)
     theirs = archives.GridArchive(
         solution_dim=(4, dim),
-        dims=[cells] * dim,
-        ranges=list(zip(low, high, strict=True)),
+        dims=ours.cells.tolist(),
+        ranges=list(zip(ours.low, ours.high, strict=True)),
         dtype=np.float64,
     )
     for _ in range(4):  # several batches: elites compete within and between them
         controls = random_controls(rng, scene, 2000)
         ours.add(controls)
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
-        inside = ((trajectories >= low) & (trajectories <= high)).all((1, 2))
-        assert 0 < inside.sum() < 2000
-        controls, trajectories = controls[inside], trajectories[inside]
+        kept = (
+            free(scene, 0, controls)
+            & (arc_length(trajectories) <= longest)
+            & ~crosses_itself(controls)
+        )
+        assert 0 < kept.sum() < 2000
+        controls, trajectories = controls[kept], trajectories[kept]
         descriptors = farthest_from_segment(trajectories, scene.start, scene.target(0))
-        theirs.add(controls, -bending_energy(controls), descriptors)
+        theirs.add(controls, -bending_energy(controls), ours.frame.world_to_frame(descriptors))
     data = theirs.data()
     return ours, {name: values[np.argsort(data["index"])] for name, values in data.items()}
 
@@ -88,7 +131,7 @@ class TestAgreesWithPyribs:
 def test_grid_does_not_mind_the_order_or_the_batches(seed, dim):
     scene = random_scene(seed, dim)
     controls = random_controls(np.random.default_rng(seed), scene, 300)
-    once, often = CurveGrid(scene, 0, 6), CurveGrid(scene, 0, 6)
+    once, often = CurveGrid(scene, 0, 2, 6), CurveGrid(scene, 0, 2, 6)
     once.add(controls)
     new = [often.add(part) for part in np.array_split(controls[::-1], 7)]
     assert sum(new) == len(often.filled)
@@ -99,31 +142,50 @@ def test_grid_does_not_mind_the_order_or_the_batches(seed, dim):
 
 
 def test_grid_counts_cells_that_only_invalid_curves_reach():
-    grid = CurveGrid(PAPER, 0, 12)
-    controls = straight_controls(PAPER.start, PAPER.target(0))[None].copy()
-    controls[0, 1:3] = [[0.4, 2.6], [-1.6, 0.55]]  # out at the top, its extreme descriptor too
+    """A curve beyond a wall whose most deviating point is not."""
+    scene = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.5]], [[-0.1, 0.42], [1.1, 1.1]])
+    controls = straight_controls(scene.start, scene.target(0))[None].copy()
+    controls[0, 1:3] = [[0.3, 1.8], [0.6, -0.2]]
+    grid = CurveGrid(scene, 0, 5, 12)
+    assert not free(scene, 0, controls)[0]
     assert grid.add(controls) == 0
     assert not len(grid.filled)
+    assert grid.reached.sum() == 1
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_cell_of_a_point_contains_it(seed):
-    grid = CurveGrid(PAPER, 0, 12)
-    points = np.random.default_rng(seed).uniform(*PAPER.workspace, (50, 2))
-    index = np.stack(np.unravel_index(grid.cell_of(points), (12, 12)), axis=-1)
-    side = (PAPER.workspace[1] - PAPER.workspace[0]) / 12
-    low = PAPER.workspace[0] + index * side
-    assert ((points >= low - 1e-12) & (points <= low + side + 1e-12)).all()
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
+def test_cell_of_a_point_contains_it(seed, dim):
+    scene = random_scene(seed, dim)
+    grid = CurveGrid(scene, 0, 2, 12)
+    points = np.random.default_rng(seed).uniform(grid.low, grid.high, (50, dim))
+    flat = grid.cell_of(grid.frame.frame_to_world(points))
+    index = np.stack(np.unravel_index(flat, grid.cells), axis=-1)
+    side = (grid.high - grid.low) / grid.cells
+    low = grid.low + index * side
+    assert ((points >= low - 1e-9) & (points <= low + side + 1e-9)).all()
 
 
 def test_rim_belongs_to_the_outermost_cells():
-    grid = CurveGrid(PAPER, 0, 12)
-    low, high = PAPER.workspace
-    assert grid.cell_of(np.array([low, high, low - 1, high + 1])).tolist() == [0, 143, 0, 143]
+    grid = CurveGrid(PAPER, 0, 2, 12)
+    points = [grid.low, grid.high, grid.low - 1, grid.high + 1]
+    last = int(np.prod(grid.cells)) - 1
+    found = grid.cell_of(grid.frame.frame_to_world(np.array(points)))
+    assert found[1:].tolist() == [last, 0, last]
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
+def test_region_holds_all_curves_that_are_not_longer(seed, dim):
+    scene = random_scene(seed, dim)
+    trajectories = bezier_trajectories(
+        random_controls(np.random.default_rng(seed), scene, 200), SCORE_POINTS
+    )
+    longest = 1.6 * np.linalg.norm(scene.goals[0] - scene.start)
+    grid = CurveGrid(scene, 0, longest, 5)
+    local = grid.frame.world_to_frame(trajectories[arc_length(trajectories) <= longest])
+    assert ((local >= grid.low) & (local <= grid.high)).all()
+
+
+@pytest.mark.parametrize(("seed", "dim"), [(0, 2), (1, 2), (0, 3)])
 def test_variation_fills_more_cells_than_plain_random_sampling(seed, dim):
     scene = random_scene(seed, dim)
     found = build_archive(scene, seed=seed)
@@ -139,8 +201,7 @@ def test_variation_fills_more_cells_than_plain_random_sampling(seed, dim):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_coverage(dim):
     found = build_archive(random_scene(11, dim))
-    assert found.cells_reached <= DEFAULT_CELLS[dim] ** dim
-    assert 0.95 < found.coverage == len(found) / found.cells_reached <= 1
+    assert 0.9 < found.coverage == len(found) / found.cells_reached <= 1
 
 
 class TestElites:
@@ -150,7 +211,6 @@ class TestElites:
         assert archive.trajectories.shape == (num, SCORE_POINTS, dim)
         assert archive.descriptors.shape == (num, dim)
         assert archive.energies.shape == archive.scores.shape == archive.labels.shape == (num,)
-        assert archive.field.sigma == {2: 0.15, 3: 0.08}[dim]
         assert archive.field is archive.observer.field(archive.scene)
         assert (archive.observer.alpha, archive.target) == (DEFAULT_ALPHA, 1)
 
@@ -158,7 +218,13 @@ class TestElites:
         scene = archive.scene
         np.testing.assert_array_equal(archive.trajectories[:, 0] - scene.start, 0)
         np.testing.assert_array_equal(archive.trajectories[:, -1] - scene.goals[1], 0)
-        assert scene.contains(archive.trajectories, tolerance=0).all()
+        assert scene.contains(archive.trajectories).all()
+
+    def test_they_are_within_the_detour_and_do_not_cross_themselves(self, archive):
+        lengths = arc_length(bezier_trajectories(archive.controls, 400))
+        assert lengths.max() <= archive.observer.detour * archive.shortest_length * 1.002
+        assert lengths.max() > 1.5 * archive.shortest_length
+        assert not crosses_itself(archive.controls).any()
 
     def test_they_are_the_curves_of_their_controls(self, archive):
         np.testing.assert_allclose(
@@ -178,17 +244,16 @@ class TestElites:
         assert (gaps.min(1) < 1e-11).all()
 
     def test_each_lies_in_a_cell_of_its_own_in_the_order_of_the_cells(self, archive):
-        cells = 20 if archive.scene.dim == 2 else 8
-        index = CurveGrid(archive.scene, 1, cells).cell_of(archive.descriptors)
-        assert (np.diff(index) > 0).all()
+        assert (np.diff(grid_of(archive).cell_of(archive.descriptors)) > 0).all()
 
     def test_energies_are_bending_energies(self, archive):
         np.testing.assert_array_equal(archive.energies, bending_energy(archive.controls))
 
     def test_scores_are_legibility_scores(self, archive):
-        np.testing.assert_array_equal(
+        np.testing.assert_allclose(
             archive.scores,
             lg.metrics.legibility_score(archive.trajectories, archive.field, 1, DEFAULT_ALPHA),
+            rtol=1e-9,
         )
 
     def test_the_straight_line_is_one_of_them(self, archive):
@@ -197,18 +262,19 @@ class TestElites:
         found = np.flatnonzero(archive.energies < 1e-20)
         assert len(found) == 1
         np.testing.assert_allclose(archive.trajectories[found[0]], straight, atol=1e-12)
-        assert archive.scores[found[0]] == archive.straight_score
-        assert archive.straight_score == pytest.approx(
+        assert archive.scores[found[0]] == archive.anchor_score
+        assert not archive.blocked
+        np.testing.assert_array_equal(archive.anchor, archive.controls[found[0]])
+        assert archive.shortest_length == pytest.approx(np.linalg.norm(straight[-1] - straight[0]))
+        assert archive.anchor_score == pytest.approx(
             lg.metrics.legibility_score(straight, archive.field, 1), rel=1e-9
         )
 
     def test_it_is_never_less_smooth_than_what_a_fresh_draw_offers(self, archive):
         """Elites have been chosen: random curves of the same cells are rougher."""
-        scene = archive.scene
-        cells = 20 if scene.dim == 2 else 8
-        grid = CurveGrid(scene, 1, cells)
-        grid.add(random_controls(np.random.default_rng(0), scene, 2000, target=1))
-        own = np.full(cells**scene.dim, np.inf)
+        grid = grid_of(archive)
+        grid.add(random_controls(np.random.default_rng(0), archive.scene, 2000, target=1))
+        own = np.full(len(grid.energies), np.inf)
         own[grid.cell_of(archive.descriptors)] = archive.energies
         assert np.mean(own[grid.filled] <= grid.energies[grid.filled]) > 0.95
 
@@ -218,7 +284,7 @@ class TestLabels:
         expected = (
             lg.labels.rank_label(archive.scores)
             if archive.observer.label == "rank"
-            else lg.labels.anchored_label(archive.scores, archive.straight_score)
+            else lg.labels.anchored_label(archive.scores, archive.anchor_score)
         )
         np.testing.assert_array_equal(archive.labels, expected)
 
@@ -260,19 +326,20 @@ class TestLabels:
             archive.nearest(level)
 
     @pytest.mark.parametrize("dim", [2, 3])
-    @pytest.mark.parametrize("seed", range(8))
+    @pytest.mark.parametrize("seed", range(4))
     def test_anchored_labels_have_the_straight_line_alone_at_zero(self, seed, dim):
-        found = build_archive(random_scene(seed, dim), seed=seed, cells=10)
+        found = build_archive(random_scene(seed, dim), seed=seed, cells=6)
         assert (found.labels == 0).sum() == 1
         assert found.energies[found.labels == 0] < 1e-20
         assert found.nearest(0) == np.argmin(found.energies)
         assert (found.labels.min(), found.labels.max()) == (-1, 1)
-        assert found.label_of(found.straight_score) == 0
+        assert found.label_of(found.anchor_score) == 0
 
     def test_nearest_takes_the_smoothest_of_equals(self):
         args = {"scene": PAPER, "target": 0, "observer": lg.Observer(label="rank")}
-        size = {"straight_score": 0.0, "num_candidates": 3, "cells_reached": 3}
+        size = {"anchor_score": 0.0, "num_candidates": 3, "cells_reached": 3}
         curves = dict.fromkeys(["controls", "trajectories", "descriptors"], np.zeros((3, 1)))
+        curves["anchor"] = curves["controls"][0]
         scores = {"scores": np.array([0.0, 0.0, 1.0]), "labels": np.array([-0.5, -0.5, 1.0])}
         found = Archive(**args, **size, **curves, **scores, energies=np.array([2.0, 1.0, 0.0]))
         assert found.nearest(-0.5) == 1
@@ -312,23 +379,28 @@ class TestReproducible:
         """The dial does not hang on the seed of the archive."""
         one, other = (build_archive(PAPER, seed=seed) for seed in (0, 1))
         scores = one.score_of(np.linspace(-1, 1, 41))
-        assert np.abs(one.label_of(scores) - other.label_of(scores)).max() < 0.03
+        assert np.abs(one.label_of(scores) - other.label_of(scores)).mean() < 0.03
 
 
 class TestSettings:
     def test_3d_default_cells(self):
-        found = build_archive(random_scene(3, 3))
-        index = CurveGrid(found.scene, 0, DEFAULT_CELLS[3]).cell_of(found.descriptors)
-        assert (np.diff(index) > 0).all()
-        assert len(found) > 1000
+        assert len(build_archive(random_scene(3, 3))) > 1000
 
     def test_target_and_observer_are_used(self):
-        found = build_archive(PAPER, 1, observer=lg.Observer(sigma=0.3, alpha=1.0), cells=8)
+        observer = lg.Observer("gaussian", "uniform", sigma=0.3, alpha=1.0, detour=1.5)
+        found = build_archive(PAPER, 1, observer=observer, cells=8)
         np.testing.assert_array_equal(found.trajectories[:, -1] - PAPER.goals[1], 0)
         field = lg.InformationPotentialField(PAPER.goals, 0.3)
-        np.testing.assert_array_equal(
-            found.scores, lg.metrics.legibility_score(found.trajectories, field, 1, 1.0)
+        np.testing.assert_allclose(
+            found.scores, lg.metrics.legibility_score(found.trajectories, field, 1, 1.0), rtol=1e-9
         )
+        assert arc_length(found.trajectories).max() <= 1.5 * found.shortest_length * (1 + 1e-9)
+
+    def test_a_detour_of_one_leaves_the_straight_line(self):
+        found = build_archive(PAPER, observer=lg.Observer(detour=1))
+        assert len(found) == 1
+        assert (found.labels[0], found.range, found.degenerate) == (0, (0, 0), True)
+        assert found.label_of([-10, 0]).tolist() == [0, 0]
 
     def test_candidates_are_counted_and_limited(self):
         found = build_archive(PAPER, random_candidates=100, max_candidates=1500, cells=48)
@@ -347,7 +419,8 @@ class TestSettings:
         start, goal, other = rng.uniform(*workspace, (3, dim))
         start[0], goal[:2] = workspace[corner, 0], workspace[corner, :2]
         scene = lg.Scene(start, [goal, other], workspace)
-        grid = CurveGrid(scene, 0, 6)
+        longest = np.linalg.norm(scene.goals[0] - scene.start)
+        grid = CurveGrid(scene, 0, longest, 6)
         assert grid.add(straight_controls(scene.start, scene.target(0))[None]) == 1
 
     @pytest.mark.parametrize("seed", range(12))
@@ -361,15 +434,6 @@ class TestSettings:
         assert (found.energies < 1e-20).sum() == 1
         assert found.labels[np.argmin(found.energies)] == 0
 
-    def test_workspace_of_another_unit(self):
-        """A scene 1024 times as large has the same archive, 1024 times as large."""
-        large = lg.Scene(PAPER.start * 1024, PAPER.goals * 1024, PAPER.workspace * 1024)
-        one = build_archive(PAPER, cells=8)
-        other = build_archive(large, cells=8, observer=lg.Observer(sigma=0.15 * 1024))
-        np.testing.assert_array_equal(other.trajectories, one.trajectories * 1024)
-        np.testing.assert_allclose(other.scores, one.scores, rtol=1e-12)
-        np.testing.assert_allclose(other.labels, one.labels, atol=1e-12)
-
     @pytest.mark.parametrize(
         "wrong",
         [
@@ -380,6 +444,7 @@ class TestSettings:
             {"observer": None},
             {"observer": "paper"},
             {"observer": lg.Observer},
+            {"observer": lg.Observer(prior=[1, 2, 3])},
             {"cells": 0},
             {"cells": 1},
             {"cells": 8.0},
@@ -395,13 +460,219 @@ class TestSettings:
         ids=str,
     )
     def test_bad_input(self, wrong):
-        with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+        with pytest.raises(InvalidInputError, match=rf"{next(iter(wrong))}|prior"):
             build_archive(PAPER, **{"cells": 4, **wrong})
 
     @pytest.mark.parametrize("scene", [None, PAPER.to_dict(), "scene.yaml"])
     def test_something_that_is_no_scene(self, scene):
         with pytest.raises(InvalidInputError, match="scene"):
             build_archive(scene)
+
+
+@pytest.fixture(scope="module", params=[BLOCKED, CLUTTERED, SOLID], ids=["ball", "three", "3d"])
+def blocked(request):
+    return build_archive(request.param, seed=1)
+
+
+class TestObstacles:
+    def test_every_curve_keeps_clear_of_everything(self, blocked):
+        scene = blocked.scene
+        curves = bezier_trajectories(np.append(blocked.controls, blocked.anchor[None], 0), 400)
+        assert scene.feasible(curves, 0).all()
+        assert scene.margin_at(curves).min() >= -1e-6 * scene.diagonal
+        for goal in scene.distractors(0):
+            assert np.linalg.norm(curves - goal, axis=-1).min() >= scene.goal_radius - 1e-6
+        lengths = arc_length(curves)
+        assert lengths.max() <= blocked.observer.detour * blocked.shortest_length * 1.002
+        assert not crosses_itself(blocked.controls).any()
+
+    def test_the_shortest_curve_is_at_zero(self, blocked):
+        straight = np.linalg.norm(blocked.scene.goals[0] - blocked.scene.start)
+        lengths = arc_length(bezier_trajectories(blocked.controls, 400))
+        assert blocked.blocked
+        assert straight < blocked.shortest_length <= lengths.min() * 1.001
+        assert blocked.label_of(blocked.anchor_score) == 0
+        curve = bezier_trajectories(blocked.anchor[None], SCORE_POINTS)
+        assert blocked.anchor_score == pytest.approx(
+            blocked.observer.score(curve, blocked.scene, 0)[0], rel=1e-12
+        )
+        assert (blocked.labels.min(), blocked.labels.max()) == (-1, 1)
+
+    def test_it_is_that_of_geometry(self):
+        """Tangents to the ball and an arc between them."""
+        scene = BLOCKED
+        (ball,), length = scene.obstacles, np.linalg.norm
+        start, goal = scene.start - ball.center, scene.goals[0] - ball.center
+        between = np.arccos(start @ goal / length(start) / length(goal))
+        arc = between - np.arccos(0.1 / length(start)) - np.arccos(0.1 / length(goal))
+        exact = np.sqrt(start @ start - 0.01) + np.sqrt(goal @ goal - 0.01) + 0.1 * arc
+        found = build_archive(scene, cells=4).shortest_length
+        assert exact <= found < 1.01 * exact
+
+    def test_on_either_side_of_an_obstacle(self, blocked):
+        """Ways round it on both sides are found."""
+        middle = blocked.trajectories[:, SCORE_POINTS // 2] - blocked.scene.obstacles[0].center
+        way = blocked.scene.goals[0] - blocked.scene.start
+        side = middle[:, 1] * way[0] - middle[:, 0] * way[1]
+        assert 0.05 < np.mean(side > 0) < 0.95
+
+    def test_an_s_bend_is_found(self):
+        walls = [lg.Box([0.35, 0.3], [0.02, 1]), lg.Box([0.65, 0.7], [0.02, 1])]
+        scene = lg.Scene([0, 0.5], [[1, 0.5], [1, 0.9]], None, walls)
+        found = build_archive(scene)
+        assert len(found) > 50
+        assert scene.feasible(bezier_trajectories(found.controls, 400), 0).all()
+
+    def test_start_and_target_may_touch_obstacles(self):
+        obstacles = [lg.Ball([-0.05, 0.5], 0.05), lg.Ball([0.8, 0.7], 0.1)]
+        scene = lg.Scene(PAPER.start, PAPER.goals, None, obstacles)
+        found = build_archive(scene)
+        assert not found.blocked
+        assert scene.feasible(bezier_trajectories(found.controls, 400), 0).all()
+
+    def test_an_obstacle_beyond_reach_changes_nothing(self):
+        room = [[-5, -5], [5, 5]]
+        one = build_archive(lg.Scene(PAPER.start, PAPER.goals, room), cells=8)
+        far = lg.Scene(PAPER.start, PAPER.goals, room, [lg.Ball([4, 4], 0.5)])
+        np.testing.assert_array_equal(build_archive(far, cells=8).labels, one.labels)
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"obstacles": [lg.Box([0.4, 0.5], [0.1, 3])]}, "no curve leads from the start"),
+            ({"obstacles": [lg.Ball([0.8, 0.65], 0.1)]}, "lies over the target"),
+            ({"goal_radius": 0.5}, "within goal_radius"),
+        ],
+        ids=str,
+    )
+    def test_scenes_without_a_way_are_refused(self, change, message):
+        with pytest.raises(InvalidSceneError, match=message) as caught:
+            build_archive(lg.Scene(PAPER.start, PAPER.goals, **change))
+        assert "\n" not in str(caught.value)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=8)
+def test_free_is_what_many_points_say(seed):
+    controls = random_controls(np.random.default_rng(seed), CLUTTERED, 100)
+    margin = CLUTTERED.margin_at(bezier_points(controls, 1001), 0).min(-1)
+    sure = np.abs(margin) > 1e-4 * CLUTTERED.diagonal
+    assert sure.sum() > 50
+    np.testing.assert_array_equal(free(CLUTTERED, 0, controls)[sure], (margin > 0)[sure])
+
+
+def changed(scene, scale, offset, turned=False):
+    """The scene of balls scaled, turned by 90° if wanted, and moved."""
+
+    def move(points):
+        points = np.array(points)
+        if turned:
+            points = np.stack([-points[..., 1], points[..., 0]], axis=-1)
+        return scale * points + offset
+
+    corners = move(scene.workspace)
+    return lg.Scene(
+        move(scene.start),
+        move(scene.goals),
+        [corners.min(0), corners.max(0)],
+        [lg.Ball(move(ball.center), scale * ball.radius) for ball in scene.obstacles],
+        scale * scene.goal_radius,
+        scale * scene.clearance,
+    )
+
+
+class TestRooms:
+    @pytest.mark.parametrize("scene", [PAPER, BLOCKED], ids=["free", "ball"])
+    @pytest.mark.parametrize(
+        ("scale", "offset"), [(100, 0), (1e-3, 0), (1, 4e3), (1, -1e6), (1024, 0)]
+    )
+    def test_any_unit_and_place(self, scene, scale, offset):
+        """Metres, centimetres, kilometres away: the same curves, scores and labels."""
+        one = build_archive(scene, cells=8)
+        other = build_archive(changed(scene, scale, offset), cells=8)
+        scores = one.score_of(np.linspace(-1, 1, 41))
+        error = np.abs(other.label_of(scores) - one.label_of(scores))
+        assert error.max() < (1e-6 if offset == 0 else 0.05)
+        assert other.anchor_score == pytest.approx(one.anchor_score, rel=1e-6)
+        assert other.shortest_length == pytest.approx(scale * one.shortest_length, rel=1e-6)
+        if scale == 1024:  # free of rounding
+            np.testing.assert_array_equal(other.trajectories, one.trajectories * 1024)
+            np.testing.assert_allclose(other.labels, one.labels, atol=1e-12)
+
+    @pytest.mark.parametrize("scene", [PAPER, BLOCKED], ids=["free", "ball"])
+    def test_any_direction(self, scene):
+        """Other curves are drawn, the dial is the same."""
+        room = lg.Scene(scene.start, scene.goals, [[-2, -2], [3, 3]], scene.obstacles)
+        one, other = build_archive(room), build_archive(changed(room, 1, 0, turned=True))
+        scores = one.score_of(np.linspace(-1, 1, 41))
+        assert np.abs(one.label_of(scores) - other.label_of(scores)).mean() < 0.02
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_a_room_larger_than_the_reach_of_curves_changes_no_label(self, dim):
+        scene = random_scene(1, dim)
+        middle, far = scene.start, 3 * np.linalg.norm(scene.goals[0] - scene.start)
+        far = max(far, 2 * scene.diagonal)
+        small, large = (
+            build_archive(lg.Scene(scene.start, scene.goals, [middle - r, middle + r]), cells=6)
+            for r in (far, 100 * far)
+        )
+        np.testing.assert_array_equal(small.labels, large.labels)
+        np.testing.assert_array_equal(small.trajectories, large.trajectories)
+
+    def test_a_tighter_room_changes_labels(self):
+        tight = lg.Scene(PAPER.start, PAPER.goals, [[-0.1, 0.2], [1.1, 0.7]])
+        assert build_archive(tight, cells=8).range[0] < build_archive(PAPER, cells=8).range[0]
+
+    @pytest.mark.parametrize("start", [[-0.1, 0.5], [-0.1, -0.1], [1.1, 1.1]])
+    def test_start_on_a_wall(self, start):
+        found = build_archive(lg.Scene(start, PAPER.goals), cells=8)
+        assert not found.blocked
+        assert len(found) > 20
+        assert found.scene.feasible(bezier_trajectories(found.controls, 400), 0).all()
+
+
+class TestObservers:
+    @pytest.mark.parametrize("scene", [PAPER, BLOCKED], ids=["free", "ball"])
+    def test_seen_by_is_building_with_that_observer(self, scene):
+        one = build_archive(scene, cells=8)
+        for observer in (
+            lg.Observer.paper(2),
+            lg.Observer(label="rank", alpha=1),
+            lg.Observer("gaussian", viewpoint=[0.5, -3]),
+        ):
+            seen = one.seen_by(observer)
+            built = build_archive(scene, cells=8, observer=observer)
+            assert seen.observer == built.observer == observer
+            for name in ("trajectories", "scores", "labels", "anchor", "anchor_score"):
+                np.testing.assert_array_equal(getattr(seen, name), getattr(built, name))
+        assert one.seen_by(one.observer).anchor_score == one.anchor_score
+
+    def test_another_detour_has_other_curves(self):
+        with pytest.raises(InvalidInputError, match=r"curves of detour 2.5, the observer's is 2"):
+            build_archive(PAPER, cells=4).seen_by(lg.Observer(detour=2))
+
+    def test_of_a_scene_is_kept_and_shares_its_curves(self):
+        one, other = (
+            scene_archive(PAPER, 0, lg.Observer()),
+            scene_archive(lg.Scene(PAPER.start, PAPER.goals), 0, lg.Observer.paper(2)),
+        )
+        assert one is scene_archive(PAPER, 0, lg.Observer())
+        assert one.trajectories is other.trajectories
+        np.testing.assert_array_equal(one.labels, build_archive(PAPER).labels)
+
+    def test_range_says_how_much_a_side_spans(self):
+        found = build_archive(PAPER, cells=8)
+        low, high = found.range
+        assert low == found.anchor_score - found.scores.min()
+        assert high == found.scores.max() - found.anchor_score
+        assert not found.degenerate
+        # To the paper's observer this target is clear from the start.
+        clear = build_archive(
+            lg.Scene([0, 0], [[0.2, 0], [-0.9, 0.9]], [[-1, -1], [1, 1]]), cells=8,
+            observer=lg.Observer.paper(2),
+        )  # fmt: skip
+        assert min(clear.range) < SMALLEST_RANGE
+        assert clear.degenerate
 
 
 THROUGHPUT = """
@@ -437,7 +708,7 @@ print(1 / (made + scored), best(yardstick))
 def test_candidates_cost_little_more_than_their_arithmetic():
     """Generated, resampled and placed by `build_archive`, and each of them scored.
 
-    About 4700 of them take as long as a fixed piece of NumPy, on any machine and one core.
+    Some thousands of them take as long as a fixed piece of NumPy, on any machine and one core.
     """
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     path = {"PYTHONPATH": str(next(iter(lg.__path__)).removesuffix("/legibility"))}

@@ -9,8 +9,11 @@ from scipy.integrate import simpson
 from legibility.curves import arc_length, resample
 from legibility.motion.bezier import (
     bending_energy,
+    bezier_bounds,
     bezier_points,
+    bezier_stretches,
     bezier_trajectories,
+    crosses_itself,
     straight_controls,
 )
 
@@ -139,3 +142,82 @@ def test_leading_axes(shape):
     assert energies.shape == shape
     for index in np.ndindex(shape):
         assert energies[index] == pytest.approx(bending_energy(controls[index]), rel=1e-12)
+
+
+@given(seeds, dims)
+def test_bounds_hold_the_curve_and_touch_it(seed, dim):
+    controls = random_controls(seed, 20, dim)
+    controls[:10, 1:3] = controls[:10, [0, 3]]  # coordinates that rise all the way
+    low, high = bezier_bounds(controls)
+    points = bezier_points(controls, 2001)
+    assert (points >= low[:, None] - 1e-12).all()
+    assert (points <= high[:, None] + 1e-12).all()
+    np.testing.assert_allclose(low, points.min(1), atol=1e-5)
+    np.testing.assert_allclose(high, points.max(1), atol=1e-5)
+
+
+@pytest.mark.parametrize("offset", [0, 1e6])
+def test_bounds_of_straight_and_degenerate_curves(offset):
+    ends = np.random.default_rng(0).uniform(-1, 1, (50, 2, 2)) + offset
+    ends[:10, 1, 0] = ends[:10, 0, 0]  # along an axis
+    ends[10:20, 1] = ends[10:20, 0]  # a point
+    low, high = bezier_bounds(np.stack([straight_controls(*pair) for pair in ends]))
+    np.testing.assert_allclose(low, ends.min(1), atol=1e-15 * (1 + 10 * offset))
+    np.testing.assert_allclose(high, ends.max(1), atol=1e-15 * (1 + 10 * offset))
+    np.testing.assert_array_equal(low[:10, 0], ends[:10, 0, 0])
+    quadratic = np.array([[[0, 0], [1, 1], [2, 1], [3, 0]]], dtype=float)  # y without a cubic term
+    assert bezier_bounds(quadratic)[1].tolist() == [[3, 0.75]]
+
+
+@given(seeds, dims, st.floats(0, 0.9))
+def test_a_stretch_lies_on_the_curve(seed, dim, first):
+    controls = random_controls(seed, 3, dim)
+    first = np.array([0, first, 0.75])
+    stretches = bezier_stretches(controls, first, 0.1, 5)
+    for control, u, stretch in zip(controls, first, stretches, strict=True):
+        v = (u + 0.1 * np.linspace(0, 1, 5))[:, None]
+        weights = [(1 - v) ** 3, 3 * v * (1 - v) ** 2, 3 * v**2 * (1 - v), v**3]
+        expected = sum(w * p for w, p in zip(weights, control, strict=True))
+        np.testing.assert_allclose(stretch, expected, atol=1e-12)
+
+
+def crossing_by_segments(controls, num_points=300):
+    """Whether two segments of the polyline that are not neighbours cross."""
+    points = bezier_points(controls, num_points)
+    a, d = points[:-1], np.diff(points, axis=0)
+    offset = a[None] - a[:, None]
+
+    def cross(x, y):
+        return x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]
+
+    with np.errstate(all="ignore"):
+        both = cross(d[:, None], d[None])
+        s, t = cross(offset, d[None]) / both, cross(offset, d[:, None]) / both
+    i, j = np.nonzero((s >= 0) & (s < 1) & (t >= 0) & (t < 1))
+    return bool((np.abs(i - j) > 1).any())
+
+
+def test_curves_cross_themselves_where_their_polylines_do():
+    controls = np.random.default_rng(0).uniform(-1, 1, (300, 4, 2))
+    found = crosses_itself(controls)
+    assert 20 < found.sum() < 280
+    np.testing.assert_array_equal(found, [crossing_by_segments(c) for c in controls])
+
+
+@given(seeds, st.floats(0.01, 100))
+def test_crossing_does_not_mind_place_size_and_direction(seed, scale):
+    controls = np.random.default_rng(seed).uniform(-1, 1, (50, 4, 2))
+    found = crosses_itself(controls)
+    np.testing.assert_array_equal(crosses_itself(controls[:, ::-1]), found)
+    np.testing.assert_array_equal(crosses_itself(scale * controls + 7), found)
+    # ... in any plane in 3D
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    solid = np.concatenate([controls, np.zeros((50, 4, 1))], axis=-1) @ turn
+    np.testing.assert_array_equal(crosses_itself(solid), found)
+
+
+@given(seeds, dims, st.sampled_from([0, 1e3, 1e6]))
+def test_straight_lines_do_not_cross_themselves(seed, dim, offset):
+    ends = np.random.default_rng(seed).uniform(-1, 1, (50, 2, dim)) + offset
+    assert not crosses_itself(np.stack([straight_controls(*pair) for pair in ends])).any()
+    assert crosses_itself(np.zeros((0, 4, dim))).shape == (0,)

@@ -120,7 +120,7 @@ def random_observer(rng: np.random.Generator, scene: Scene, like: Observer) -> O
     Either kind; σ over a factor of six and β over one of twelve about their defaults; gaussians
     with covariances up to 4 : 1 in any direction; priors neutral, uniform, between, and random.
     """
-    scale = dict(alpha=like.alpha, detour=like.detour, label=like.label)
+    scale = {"alpha": like.alpha, "detour": like.detour, "label": like.label}
     if rng.random() < 0.5:
         beta = 20 / scene.size * np.exp(rng.uniform(np.log(0.25), np.log(3)))
         observer = Observer(beta=float(beta), **scale)

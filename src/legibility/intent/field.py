@@ -19,10 +19,11 @@ from ..checks import (
 )
 from ..errors import InvalidInputError
 
-_FARTHEST = 1e100  # beyond it only the direction counts
+_FARTHEST = 1e100  # of a coordinate; points beyond it are drawn in along their direction
+_ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Field:
     """The posterior over goals of an observer who reads a position.
 
@@ -62,7 +63,7 @@ class Field:
         beta = bounded("beta", beta, 0)
         precision = np.zeros((dim, dim)) if precision is None else precision
         precision = finite_array("precision", precision, ndim=2, last=dim).copy()
-        if precision.shape != (dim, dim) or np.linalg.eigvalsh(precision)[0] < 0:
+        if precision.shape != (dim, dim) or not _is_semidefinite(precision):
             raise InvalidInputError(
                 f"precision must be positive semi-definite and {dim} by {dim}, "
                 f"got {precision.tolist()}"
@@ -71,20 +72,31 @@ class Field:
         log_prior = finite_array("log_prior", log_prior, ndim=1).copy()
         if len(log_prior) != num:
             raise InvalidInputError(f"log_prior must be {num} numbers, got {len(log_prior)}")
-        # The quadratic term without the part that all goals share, about their mean: exact far away.
+        # Of the quadratic term what the goals do not share, about their mean: exact far away.
         origin = goals.mean(axis=0)
         offsets = goals - origin
         with np.errstate(all="ignore"):
             slope = precision @ offsets.T
             intercept = log_prior - (offsets * slope.T).sum(-1) / 2
-        if not (np.isfinite(slope).all() and np.isfinite(intercept).all()):
+            largest = beta * np.abs(offsets).max()
+        if not (np.abs(slope).max() < _FARTHEST and np.isfinite(intercept).all()):
             raise InvalidInputError("sigma must not vanish beside the goals' distances")
+        if not largest < _FARTHEST:
+            raise InvalidInputError(
+                f"beta must not be infinite beside the goals' distances, got {beta:g}"
+            )
         if not slope.any() and not beta:
             raise InvalidInputError("sigma or beta must tell the goals apart")
         for array in (goals, precision, log_prior):
             array.setflags(write=False)
         vars(self).update(goals=goals, precision=precision, beta=beta, log_prior=log_prior)
         vars(self).update(_origin=origin, _slope=slope, _intercept=intercept)
+
+    def __repr__(self) -> str:
+        return (
+            f"Field(goals={self.goals.tolist()}, precision={self.precision.tolist()}, "
+            f"beta={self.beta:g}, log_prior={self.log_prior.tolist()})"
+        )
 
     @property
     def prior(self) -> Array:
@@ -150,7 +162,10 @@ class Field:
 
     def _logits(self, x: ArrayLike, target: int | None = None) -> list[Array]:
         """`log P(g) − E_g(x)` of each goal, `(...)`, less that of `target` or a common term."""
-        offset = finite_array("x", x, min_ndim=1, last=self.dim) - self._origin
+        x = finite_array("x", x, min_ndim=1, last=self.dim)
+        if np.abs(x).max(initial=0) > _FARTHEST:
+            x = x / np.maximum(1, np.abs(x).max(-1, keepdims=True) / _FARTHEST)
+        offset = x - self._origin
         slope, intercept, zero = self._slope, self._intercept, np.zeros(self.dim)
         if target is not None:
             slope = slope - slope[:, target, None]
@@ -159,9 +174,6 @@ class Field:
         # One goal at a time: sums over a short last axis are slow in NumPy.
         logits = [offset @ slope[:, g] + intercept[g] for g in range(self.num_goals)]
         if self.beta:
-            most = np.abs(offset).max(-1, keepdims=True, initial=0)
-            if most.max(initial=0) > _FARTHEST:
-                offset = offset * np.minimum(1, _FARTHEST / np.maximum(most, 1))
             from_zero = _length(offset - zero)
             for g, goal in enumerate(self.goals - self._origin):
                 # ‖x − g‖ − ‖x − zero‖ without a difference of large numbers.
@@ -186,6 +198,7 @@ class Field:
         return self.potential(points, target)
 
 
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class InformationPotentialField(Field):
     """The paper's field (section V.A): the likelihood `P(x|g) = N(x; g, σ²I)` around each goal.
 
@@ -210,6 +223,18 @@ class InformationPotentialField(Field):
             )
         super().__init__(goals, precision, log_prior=np.log(prior_array(prior, len(goals))))
         vars(self).update(sigma=sigma)
+
+    def __repr__(self) -> str:
+        return (
+            f"InformationPotentialField(goals={self.goals.tolist()}, sigma={self.sigma:g}, "
+            f"prior={self.prior.tolist()})"
+        )
+
+
+def _is_semidefinite(matrix: Array) -> bool:
+    values = np.linalg.eigvalsh(matrix)
+    is_symmetric = np.allclose(matrix, matrix.T, rtol=_ROUNDING, atol=_ROUNDING * values[-1])
+    return is_symmetric and bool(values[0] >= -_ROUNDING * values[-1])
 
 
 def _length(points: Array) -> Array:

@@ -3,11 +3,11 @@
 Every function is vectorised over leading axes and takes these arguments:
 
 * `trajectory`: `(..., T, D)` [m];
-* `field`: the observer's `InformationPotentialField`;
+* `field`: the observer's `Field`;
 * `goals`: `(G, D)` [m], G ≥ 2;
 * `target`: index of the intended goal;
 * `posterior`: P(g) over time, `(..., T, G)`, at T equally spaced times, from
-  `InformationPotentialField.posterior` or `dragan_posterior`. Progress t runs from 0 to 1.
+  `Field.posterior` or `dragan_posterior`. Progress t runs from 0 to 1.
 """
 
 import functools
@@ -29,13 +29,13 @@ from ..checks import (
 )
 from ..curves import arc_length, resample
 from ..errors import InvalidInputError
-from .field import InformationPotentialField
+from .field import Field
 
 __all__ = [
+    "BETA_SHARE",
     "CONFIDENCE",
     "COSTS",
     "DEFAULT_ALPHA",
-    "DEFAULT_BETA",
     "SCORE_POINTS",
     "Cost",
     "budgeted_legibility",
@@ -71,8 +71,9 @@ COSTS: tuple[Cost, ...] = ("length", "squared_velocity")
 CONFIDENCE = 0.8
 """Least belief in the target of a confident observer."""
 
-DEFAULT_BETA = 10.0
-"""Rationality β [1/m]: with `length`, 0.1 m of detour makes a goal e times less likely."""
+BETA_SHARE = 20.0
+"""Rationality β times the cost of a straight motion as long as the scene's size: a detour of a
+twentieth of the size makes a goal e times less likely."""
 
 
 @functools.lru_cache(maxsize=32)
@@ -91,10 +92,7 @@ def score_weights(num_points: int, alpha: float) -> Array:
 
 @np.errstate(under="ignore")
 def legibility_score(
-    trajectory: ArrayLike,
-    field: InformationPotentialField,
-    target: int,
-    alpha: float = DEFAULT_ALPHA,
+    trajectory: ArrayLike, field: Field, target: int, alpha: float = DEFAULT_ALPHA
 ) -> Array:
     """`L_p(ξ) = −Σ_t f(t) φ(x_t|g*)`, `f(t) = exp(−α t)` (paper, eq. 4), `(...)`; higher = better.
 
@@ -108,7 +106,7 @@ def legibility_score(
 
 
 @np.errstate(under="ignore")
-def potential_cost(trajectory: ArrayLike, field: InformationPotentialField, target: int) -> Array:
+def potential_cost(trajectory: ArrayLike, field: Field, target: int) -> Array:
     """`L_p = Σ_t φ(x_t|g*) / t`, t = 1 … T over the points as given, `(...)`; lower = better.
 
     The cost of the paper's Table I: eq. 4 with `f(t) = 1/t` and without its sign. t is 1 at the
@@ -200,7 +198,7 @@ def trajectory_cost(trajectory: ArrayLike, cost: Cost = "length", time_step: flo
 def dragan_posterior(
     trajectory: ArrayLike,
     goals: ArrayLike,
-    beta: float = DEFAULT_BETA,
+    beta: float | None = None,
     prior: ArrayLike | None = None,
     cost: Cost = "length",
     time_step: float = 1.0,
@@ -219,21 +217,24 @@ def dragan_posterior(
     Args:
         trajectory: points at equal time steps.
         goals: the observer's hypotheses.
-        beta: rationality β, in units of 1 / cost.
+        beta: rationality β, in units of 1 / cost; if not given, `BETA_SHARE` over the cost of a
+            straight motion as long as the largest distance among S and the goals.
         prior: `(G,)` P(g) before any motion, and so the posterior at S; uniform if not given.
         cost: see `trajectory_cost`.
         time_step: Δt [s], for `squared_velocity`.
     """
     goals = goals_array(goals)
     points = trajectory_array(trajectory, goals.shape[-1])
-    beta, time_step = positive("beta", beta), positive("time_step", time_step)
+    time_step = positive("time_step", time_step)
     prior = prior_array(prior, len(goals))
     to_go = _distances(points, goals)
+    size = np.maximum(to_go[..., 0, :].max(-1), _distances(goals, goals).max())
     if _cost(cost) == "squared_velocity":
         steps = points.shape[-2] - 1
         left = np.maximum(steps - np.arange(steps + 1), 1) * time_step
-        to_go = to_go**2 / (2 * left[:, None])
-    logits = np.log(prior) - beta * (to_go - to_go[..., :1, :])
+        to_go, size = to_go**2 / (2 * left[:, None]), size**2 / (2 * left[0])
+    rationality = BETA_SHARE / size if beta is None else np.asarray(positive("beta", beta))
+    logits = np.log(prior) - rationality[..., None, None] * (to_go - to_go[..., :1, :])
     logits -= logits.max(axis=-1, keepdims=True)  # log 2 is lost beside a large number
     return np.exp(logits - np.logaddexp.reduce(logits, axis=-1, keepdims=True))
 
@@ -242,7 +243,7 @@ def dragan_legibility(
     trajectory: ArrayLike,
     goals: ArrayLike,
     target: int,
-    beta: float = DEFAULT_BETA,
+    beta: float | None = None,
     prior: ArrayLike | None = None,
     cost: Cost = "length",
     time_step: float = 1.0,
@@ -302,16 +303,17 @@ def posterior_entropy(posterior: ArrayLike) -> Array:
 @np.errstate(under="ignore")
 def evaluate_trajectory(
     trajectory: ArrayLike,
-    field: InformationPotentialField,
+    field: Field,
     target: int,
     alpha: float = DEFAULT_ALPHA,
-    beta: float = DEFAULT_BETA,
+    beta: float | None = None,
 ) -> dict[str, Array]:
     """Every metric of one or many trajectories by its name, each `(...)`.
 
-    Metrics of a posterior come twice: `field_…` for the field, and `dragan_…` for Dragan's observer
-    with rationality `beta` [1/m], path length as the cost, and the field's goals and prior. All but
-    `legibility_score` take the points to be at equal time steps. A time never reached is `inf`.
+    Metrics of a posterior come twice: `field_…` for the field, and `dragan_…` for the default
+    `Observer`, `dragan_posterior` with path length as the cost and rationality `beta` [1/m], who
+    has not decided at the trajectory's start. All but `legibility_score` take the points to be at
+    equal time steps. A time never reached is `inf`.
     """
     points = trajectory_array(trajectory, field.dim)
     result = {
@@ -324,7 +326,7 @@ def evaluate_trajectory(
     }
     observers = {
         "field": field.posterior(points),
-        "dragan": dragan_posterior(points, field.goals, beta, field.prior),
+        "dragan": dragan_posterior(points, field.goals, beta),
     }
     for name, posterior in observers.items():
         result |= {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,11 @@ import numpy as np
 
 from ..checks import Array, bounded, finite_array, positive, prior_array
 from ..errors import InvalidInputError
-from ..files import read_document, write_bytes
+from ..files import read_document, write_document
 from ..scene import Scene
 from .field import Field, InformationPotentialField
 from .labels import LABELS, anchored_label, rank_label
-from .metrics import DEFAULT_ALPHA, legibility_score
+from .metrics import BETA_SHARE, DEFAULT_ALPHA, legibility_score
 
 KINDS = ("boltzmann", "gaussian")
 """The likelihoods of a position given the goal."""
@@ -25,10 +24,10 @@ PRIORS = ("neutral", "uniform")
 """The named priors."""
 
 _PAPER_SIGMA = {2: 0.15, 3: 0.08}
-_SIGMA_SHARE, _BETA_SHARE = 0.15, 20.0
+_SIGMA_SHARE = 0.15
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Observer:
     """All parameters of ℓ except the scene.
 
@@ -78,7 +77,7 @@ class Observer:
                 )
         if not isinstance(self.prior, str):
             weights = finite_array("prior", self.prior, ndim=1)
-            prior_array(weights, len(weights))
+            prior_array(weights, max(2, len(weights)))
             put("prior", tuple(weights.tolist()))
         elif self.prior not in PRIORS:
             raise InvalidInputError(
@@ -125,6 +124,11 @@ class Observer:
         """What ℓ means whoever watches, `(alpha, detour, label)`; models keep to theirs."""
         return self.alpha, self.detour, self.label
 
+    def __repr__(self) -> str:
+        values = [(f.name, getattr(self, f.name), f.default) for f in fields(self)]
+        given = {name: value for name, value, default in values if value != default}
+        return f"Observer({', '.join(f'{name}={value!r}' for name, value in given.items())})"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a file."""
         content = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -142,17 +146,11 @@ class Observer:
             raise InvalidInputError(
                 f"an observer has the keys {', '.join(names)}; unknown: {', '.join(unknown)}"
             )
-        if not isinstance(content.get("prior", ""), str | Sequence):
-            raise InvalidInputError(f"prior must be a name or a list, got {content['prior']!r}")
         return cls(**content)
 
     def save(self, path: str | Path) -> None:
-        """Write the observer as YAML, without what is not given."""
-        import yaml
-
-        content = {name: value for name, value in self.to_dict().items() if value is not None}
-        text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-        write_bytes(path, text.encode())
+        """Write the observer as JSON (.json) or YAML, without what is not given."""
+        write_document(path, {k: v for k, v in self.to_dict().items() if v is not None})
 
     @classmethod
     def load(cls, path: str | Path) -> Observer:
@@ -172,7 +170,7 @@ def _field(scene: Scene, observer: Observer) -> Field:
     goals, size = scene.goals, scene.size
     precision, beta = np.zeros((scene.dim, scene.dim)), 0.0
     if observer.kind == "boltzmann":
-        beta = _BETA_SHARE / size if observer.beta is None else observer.beta
+        beta = BETA_SHARE / size if observer.beta is None else observer.beta
     else:
         sigma = _SIGMA_SHARE * size if observer.sigma is None else observer.sigma
         if observer.viewpoint is None and observer.prior == "uniform":
@@ -203,9 +201,10 @@ def _along_sight(scene: Scene, observer: Observer) -> Array:
             f"viewpoint must be {scene.dim} numbers in this scene, got {list(observer.viewpoint)}"
         )
     sight = scene.goals.mean(axis=0) - np.array(observer.viewpoint)
-    distance = np.linalg.norm(sight)
-    if distance < 1e-6 * scene.size:
+    farthest = np.abs(sight).max()
+    if farthest < 1e-6 * scene.size:
         raise InvalidInputError(
             f"viewpoint must not lie in the middle of the goals, got {list(observer.viewpoint)}"
         )
-    return (1 - observer.depth**-2) * np.outer(sight, sight) / distance**2
+    sight /= farthest  # whose square may be infinite
+    return (1 - observer.depth**-2) * np.outer(sight, sight) / (sight @ sight)

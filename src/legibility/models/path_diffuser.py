@@ -72,7 +72,7 @@ class Conditions:
         observers: Sequence[Observer],
         resolution: int,
     ) -> Conditions:
-        """The inputs of `scenes`, with goal `targets[i]` and observer `observers[i]` of the i-th."""
+        """The inputs of `scenes`, the i-th with goal `targets[i]` and observer `observers[i]`."""
         images, vectors, odds, solids = [], [], [], []
         for scene, target, observer in zip(scenes, targets, observers, strict=True):
             field = observer.field(scene)

@@ -24,16 +24,25 @@ from ..intent.field import Field
 from ..intent.labels import label_knots
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import DEFAULT_OBSERVER, Observer
-from ..scene import Scene
-from .bezier import bending_energy, bezier_trajectories, crosses_itself, straight_controls
+from ..scene import TOUCH, Scene
+from .bezier import (
+    bending_energy,
+    bezier_bounds,
+    bezier_stretches,
+    bezier_trajectories,
+    crosses_itself,
+    straight_controls,
+)
 
 _BATCH = 1024
 _REACH = 1 / 3
 """Margin in which control points are drawn around the region that curves may reach, as a share of
 its side: a cubic Bézier gets three quarters of the way to its control points."""
 
-_FINE = 4 * SCORE_POINTS  # points at which a curve near an obstacle is checked
-_WIDEST = 64.0  # lengths of the straight line within which a way around is looked for
+_LARGEST_REACH = 8 / 3  # one with an S-bend gets less than a third of the way
+
+_FINE = 4 * SCORE_POINTS  # points on which a length is measured
+_STRETCHES = (24, 8, 8, 8)  # parts into which a curve, then a stretch near an obstacle, is cut
 
 DEFAULT_CELLS = {2: 28, 3: 11}
 """Cells along the straight line, by dimension."""
@@ -115,7 +124,7 @@ class Archive:
                 f"{observer.detour:g}"
             )
         scores, anchor_score = _scored(
-            observer, self.scene, self.target, self.trajectories, self.anchor
+            observer, self.scene, self.target, self.controls, self.trajectories, self.anchor
         )
         labels = observer.labels(scores, anchor_score)
         return replace(
@@ -163,13 +172,18 @@ class CurveGrid:
         target: index of the intended goal.
         longest: length of a curve [m].
         cells: along the straight line.
+        reach: margin in which control points are drawn, as a share of the region's side.
     """
 
-    def __init__(self, scene: Scene, target: int, longest: float, cells: int) -> None:
+    def __init__(
+        self, scene: Scene, target: int, longest: float, cells: int, reach: float = _REACH
+    ) -> None:
         self.scene, self.target, self.goal = scene, target, scene.target(target)
         self.longest, self.frame = longest, Frame.of(scene, target)
         self.low, self.high = _region(self.frame, longest)
+        self.bounds = _bounds(scene, target, longest, reach)
         self.cells = np.ceil((self.high - self.low) * cells - 1e-9).astype(np.intp)
+        self.cells[1:] |= 1  # odd, so that no border between cells is on the straight line
         size = int(np.prod(self.cells))
         self.energies = np.full(size, np.inf)
         self.controls = np.zeros((size, 4, scene.dim))
@@ -199,7 +213,7 @@ class CurveGrid:
         energies = bending_energy(controls)
         keep = np.flatnonzero(energies < self.energies[cells])
         keep = keep[~crosses_itself(controls[keep])]
-        keep = keep[free(self.scene, self.target, controls[keep], trajectories[keep])]
+        keep = keep[free(self.scene, self.target, controls[keep])]
         controls, descriptors = controls[keep], descriptors[keep]
         cells, energies = cells[keep], energies[keep]
         # The smoothest of each cell in this batch takes the cell.
@@ -212,24 +226,29 @@ class CurveGrid:
         return new
 
 
-def free(scene: Scene, target: int, controls: Array, trajectories: Array) -> np.ndarray:
+def free(scene: Scene, target: int, controls: Array) -> np.ndarray:
     """Whether each curve `controls (N, 4, D)` keeps clear of walls and obstacles, `(N,)` bool.
 
-    `trajectories (N, T, D)` [m] are their points at equal arc length. A curve that comes so near
-    that it could touch something between two of them is checked at more points.
+    A stretch of a curve touches nothing if its ends are together farther from everything solid than
+    it is long. Others are cut finer.
     """
-    inside = scene.contains(trajectories).all(-1)
+    low, high = bezier_bounds(controls)
+    clear = scene.contains(low) & scene.contains(high)
     if not scene.obstacles and not scene.goal_radius:
-        return inside
-    rows = np.flatnonzero(inside)
-    solid = scene.solids(target).distance(trajectories[rows].reshape(-1, scene.dim))
-    solid = solid.reshape(len(rows), -1).min(-1)
-    gap = np.linalg.norm(trajectories[rows, 1] - trajectories[rows, 0], axis=-1)
-    inside[rows[solid < -1e-9 * scene.diagonal]] = False
-    near = rows[(solid >= -1e-9 * scene.diagonal) & (solid < gap / 2)]
-    if len(near):
-        inside[near] = scene.feasible(bezier_trajectories(controls[near], _FINE), target)
-    return inside
+        return clear
+    solids, least = scene.solids(target), -TOUCH * scene.diagonal
+    rows = np.flatnonzero(clear)
+    first, width = np.zeros(len(rows)), 1.0
+    for parts in _STRETCHES:
+        points = bezier_stretches(controls[rows], first, width, parts + 1)
+        distance = solids.distance(points.reshape(-1, scene.dim)).reshape(points.shape[:-1])
+        clear[rows[distance.min(-1) < least]] = False
+        length = 1.1 * np.linalg.norm(np.diff(points, axis=-2), axis=-1)  # of an arc above a chord
+        near = (distance[:, :-1] + distance[:, 1:] < length) & clear[rows, None]
+        width /= parts
+        row, part = np.nonzero(near)
+        rows, first = rows[row], first[row] + width * part
+    return clear
 
 
 @np.errstate(under="ignore")
@@ -274,22 +293,22 @@ def build_archive(
         seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
-    anchor, shortest = _shortest(scene, target)
-    grid = CurveGrid(scene, target, observer.detour * shortest, cells)
+    anchor, shortest, reach = _shortest(scene, target)
+    grid = CurveGrid(scene, target, observer.detour * shortest, cells, reach)
     grid.add(anchor[None])
     tried, idle = 1, 0
     while tried < max_candidates and idle < 4:
         size = min(_BATCH, max_candidates - tried)
         exploring = tried < random_candidates
-        draw = random_controls(rng, grid, size) if exploring else _varied_controls(rng, grid, size)
-        new = grid.add(_with_ends(draw, anchor))
+        draw = random_controls if exploring else _varied_controls
+        new = grid.add(_with_ends(draw(rng, grid, size), anchor))
         tried += size
         idle = 0 if exploring or new >= patience * len(grid.filled) else idle + 1
 
     filled = grid.filled
     controls = grid.controls[filled]
     trajectories = bezier_trajectories(controls, SCORE_POINTS)
-    scores, anchor_score = _scored(observer, scene, target, trajectories, anchor)
+    scores, anchor_score = _scored(observer, scene, target, controls, trajectories, anchor)
     return Archive(
         scene=scene,
         target=target,
@@ -308,12 +327,22 @@ def build_archive(
 
 
 def _scored(
-    observer: Observer, scene: Scene, target: int, trajectories: Array, anchor: Array
+    observer: Observer,
+    scene: Scene,
+    target: int,
+    controls: Array,
+    trajectories: Array,
+    anchor: Array,
 ) -> tuple[Array, float]:
-    """The scores of `trajectories (N, T, D)`, and that of the curve `anchor (4, D)`."""
+    """The scores of curves `controls (N, 4, D)`, and that of the curve `anchor (4, D)`.
+
+    They are equal, free of rounding, where the curves are.
+    """
     curve = bezier_trajectories(anchor[None], SCORE_POINTS)
     scores = observer.score(np.concatenate([trajectories, curve]), scene, target)
-    return scores[:-1], float(scores[-1])
+    scores, anchor_score = scores[:-1], scores[-1]
+    scores[(controls == anchor).all((1, 2))] = anchor_score
+    return scores, float(anchor_score)
 
 
 def _region(frame: Frame, longest: float) -> tuple[Array, Array]:
@@ -330,20 +359,20 @@ def _region(frame: Frame, longest: float) -> tuple[Array, Array]:
     return centre - half, centre + half
 
 
-def _bounds(grid: CurveGrid) -> tuple[Array, Array]:
+def _bounds(scene: Scene, target: int, longest: float, reach: float) -> tuple[Array, Array]:
     """Low and high corner [m] of the box from which control points are drawn."""
-    centre, half = (grid.low + grid.high) / 2, (grid.high - grid.low) / 2
-    middle = grid.frame.frame_to_world(centre)
-    reach = np.sqrt((grid.frame.rotation.T**2) @ half**2) * grid.frame.scale
-    low = np.maximum(middle - reach, grid.scene.workspace[0])
-    high = np.minimum(middle + reach, grid.scene.workspace[1])
-    return low - _REACH * (high - low), high + _REACH * (high - low)
+    frame = Frame.of(scene, target)
+    low, high = _region(frame, longest)
+    middle = frame.frame_to_world((low + high) / 2)
+    half = np.sqrt((frame.rotation.T**2) @ (high - low) ** 2) / 2 * frame.scale
+    low = np.maximum(middle - half, scene.workspace[0])
+    high = np.minimum(middle + half, scene.workspace[1])
+    return low - reach * (high - low), high + reach * (high - low)
 
 
 def random_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Array:
     """Inner control points `(size, 2, D)` [m] drawn uniformly around the region of a grid."""
-    low, high = _bounds(grid)
-    return rng.uniform(low, high, (size, 2, grid.scene.dim))
+    return rng.uniform(*grid.bounds, (size, 2, grid.scene.dim))
 
 
 def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Array:
@@ -351,7 +380,7 @@ def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Ar
 
     An elite is moved along its difference from another and by a little isotropic noise.
     """
-    low, high = _bounds(grid)
+    low, high = grid.bounds
     filled = grid.filled
     parents = grid.controls[rng.choice(filled, size)][:, 1:3]
     others = grid.controls[rng.choice(filled, size)][:, 1:3]
@@ -368,48 +397,51 @@ def _with_ends(inner: Array, anchor: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _shortest(scene: Scene, target: int) -> tuple[Array, float]:
-    """The straight line `(4, D)`, or the shortest feasible curve where it is blocked; its length.
+def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
+    """The straight line `(4, D)`, or the shortest feasible curve where it is blocked.
 
     Random curves in a region that grows until some are feasible, then variations of the shortest.
+
+    Returns:
+        The curve, its length [m], and the margin (`_REACH`) in which such curves were found.
     """
     straight = straight_controls(scene.start, scene.target(target))
     scale = Frame.of(scene, target).scale
-    if free(scene, target, straight[None], bezier_trajectories(straight[None], SCORE_POINTS))[0]:
-        return straight, scale
+    if free(scene, target, straight[None])[0]:
+        return straight, scale, _REACH
     rng = np.random.default_rng(0)
     best, lengths = np.empty((0, 4, scene.dim)), np.empty(0)
 
     def keep_shortest(controls: Array) -> None:
         nonlocal best, lengths
+        controls = controls[free(scene, target, controls)]
+        controls = controls[~crosses_itself(controls)]
+        best = np.concatenate([best, controls])
         trajectories = bezier_trajectories(controls, SCORE_POINTS)
-        rows = np.flatnonzero(free(scene, target, controls, trajectories))
-        rows = rows[~crosses_itself(controls[rows])]
-        best = np.concatenate([best, controls[rows]])
-        lengths = np.concatenate([lengths, arc_length(trajectories[rows])])
+        lengths = np.concatenate([lengths, arc_length(trajectories)])
         order = np.argsort(lengths, kind="stable")[:32]
         best, lengths = best[order], lengths[order]
 
-    longest = 2.5 * scale
-    while len(best) < 8 and longest <= _WIDEST * scale:
-        grid = CurveGrid(scene, target, longest, 2)
+    for growth in 2.0 ** np.arange(6):
+        reach = min(growth * _REACH, _LARGEST_REACH)
+        bounds = _bounds(scene, target, 2.5 * growth * scale, reach)
         for _ in range(4):
-            if len(best) < 8:
-                keep_shortest(_with_ends(random_controls(rng, grid, _BATCH), straight))
-        longest *= 2
+            keep_shortest(_with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
+        if len(best) >= 8:
+            break
     if not len(best):
         raise InvalidSceneError(
             f"no curve leads from the start {scene.start.tolist()} to the target "
             f"goals[{target}] {scene.goals[target].tolist()} past the obstacles and within the "
             "workspace"
         )
-    for generation in range(12):
+    for generation in range(16):
         parents = best[rng.integers(0, len(best), _BATCH // 4)][:, 1:3]
-        noise = rng.normal(0, 0.2 * scale * 0.7**generation, parents.shape)
+        noise = rng.normal(0, 0.2 * scale * 0.75**generation, parents.shape)
         keep_shortest(_with_ends(parents + noise, straight))
     anchor = best[0]
     anchor.setflags(write=False)
-    return anchor, float(lengths[0])
+    return anchor, float(lengths[0]), reach
 
 
 def passable(scene: Scene, target: int) -> bool:

@@ -24,6 +24,17 @@ def bezier_points(controls: Array, num_points: int) -> Array:
     return _bernstein(num_points) @ controls
 
 
+def bezier_stretches(controls: Array, first: Array, width: float, num_points: int) -> Array:
+    """As `bezier_points`, of the stretch `[first, first + width]` of the parameter of each curve.
+
+    `(N, num_points, D)`; `first (N,)`.
+    """
+    u = (first[:, None] + width * np.linspace(0, 1, num_points))[..., None]
+    p0, p1, p2, p3 = (controls[:, i, None] for i in range(4))
+    cubic, quadratic, linear = p3 - p0 + 3 * (p1 - p2), 3 * (p0 - 2 * p1 + p2), 3 * (p1 - p0)
+    return ((u * cubic + quadratic) * u + linear) * u + p0
+
+
 @np.errstate(under="ignore")
 def bezier_trajectories(controls: Array, num_points: int) -> Array:
     """`(N, num_points, D)` at equal steps of arc length, of curves `controls (N, 4, D)` [m].
@@ -45,6 +56,23 @@ def bezier_trajectories(controls: Array, num_points: int) -> Array:
     points = np.moveaxis(points, 0, -1)
     points[..., -1, :] = controls[..., 3, :]
     return points
+
+
+@np.errstate(all="ignore")
+def bezier_bounds(controls: Array) -> tuple[Array, Array]:
+    """Low and high corner `(N, D)` of the box around each of the curves `controls (N, 4, D)` [m].
+
+    In closed form: a coordinate is extreme at an end or where its derivative, a quadratic, is 0.
+    """
+    p0, p1, p2, p3 = np.moveaxis(controls, -2, 0)
+    cubic, quadratic, linear = p3 - p0 + 3 * (p1 - p2), 3 * (p0 - 2 * p1 + p2), 3 * (p1 - p0)
+    root = np.sqrt(quadratic**2 - 3 * cubic * linear)  # not a number if there is no extreme
+    sum_of_both = -(quadratic + np.copysign(root, quadratic))
+    extremes = [p0, p3]
+    for u in (sum_of_both / (3 * cubic), linear / sum_of_both):
+        u = np.where((u > 0) & (u < 1), u, 0)
+        extremes.append(((u * cubic + quadratic) * u + linear) * u + p0)
+    return np.minimum.reduce(extremes), np.maximum.reduce(extremes)
 
 
 @np.errstate(under="ignore")
