@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from ..checks import Array
+from ..frame import axes_along
 from ..motion.tracking import PathTracker
 from .configuration import ActionConfig, PathPolicyConfig
 from .diffusion import ddim, sampling_timesteps
-from .frame import axes_along
 from .networks import FiLMUNet, Residual, fourier
 
 _AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
