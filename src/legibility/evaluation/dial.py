@@ -8,17 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array
-from ..curves import arc_length, resample, turning
+from ..curves import arc_length, turning
 from ..data.configuration import SceneStream
 from ..envs import vector_type
-from ..intent.metrics import dragan_legibility
 from ..modulator import Modulator
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
 from ..parallel import pool, threads
-from ..scene import Scene
 from ..seeds import plan_seeds
-from .common import Progress, counter, execute_paths, gather, level_steps, silent, world
+from .common import (
+    DRAGAN_LEVELS,
+    Progress,
+    counter,
+    dragan_rises,
+    execute_paths,
+    gather,
+    level_steps,
+    rounded,
+    silent,
+    world,
+)  # fmt: skip
 from .configuration import MODES, DialConfig
 from .statistics import rank_correlation, spearman_ceiling, summary
 
@@ -60,9 +69,9 @@ _OPTIONS: dict[str, dict[str, bool]] = dict(
     zip(MODES, ({"refine": False}, {}, {"exact": True}), strict=True)
 )
 _POINTS = 400  # at which curves are measured
-_SIX, _THREE = level_steps(6), level_steps(3)
+_THREE = level_steps(3)
 _NEAR, _WAVE = 0.05, 0.5
-_BETA_SHARE = 10.0
+_LEAST_GAIN = 0.01  # of the archive's range
 
 
 def evaluate_dial(
@@ -158,7 +167,7 @@ def _measure(
                 nearest = plan(legibility=levels, num_candidates=config.candidates)
                 labels = archive.label_of(nearest.score)
                 metrics["error_candidates"] = float(np.abs(labels - levels).mean())
-        modes[mode] = _rounded(judge.metrics(scores, curves) | metrics)
+        modes[mode] = rounded(judge.metrics(scores, curves) | metrics)
     below, above = archive.range
     noise = judge.noise()
     ceiling = spearman_ceiling(np.repeat(levels, config.samples), noise)
@@ -170,7 +179,7 @@ def _measure(
         "observer": observer.kind,
         "degenerate": archive.degenerate,
         "blocked": archive.blocked,
-        "limits": _rounded(limits),
+        "limits": rounded(limits),
         **modes,
     }
 
@@ -197,7 +206,7 @@ class _Judge(NamedTuple):
     @classmethod
     def of(cls, archive: Archive, levels: Array, samples: int) -> "_Judge":
         """The judge by an archive of `samples` curves at each of `levels`."""
-        planned = np.unique(np.concatenate([levels, _SIX, _THREE]))
+        planned = np.unique(np.concatenate([levels, DRAGAN_LEVELS, _THREE]))
         turned = _turning_near(archive, -1), _turning_near(archive, 1)
         lengths = arc_length(archive.trajectories)
         return cls(archive, planned, np.isin(planned, levels), samples, lengths, turned)
@@ -219,13 +228,13 @@ class _Judge(NamedTuple):
         shape = len(self.levels), self.samples
         score, levels = scores.reshape(shape), self.levels[self.counted]
         achieved = archive.label_of(scores).reshape(shape)
-        legibility = _dragan(curves, scene).reshape(shape).mean(1)
         turned, length = turning(curves).reshape(shape), arc_length(curves).reshape(shape)
         ratio = length.mean(1) / archive.shortest_length
         zero = int(np.flatnonzero(self.levels == 0)[0])
         excess = turned[[0, -1]] - np.array(self.turned)[:, None]
         beyond = [score[0] < archive.scores.min(), score[-1] > archive.scores.max()]
-        feasible = scene.feasible(curves, archive.target).reshape(shape)[self.counted]
+        feasible = scene.feasible(curves, archive.target).reshape(shape)
+        optimum = self._optimum(score[-1], length[-1], feasible[-1])
         at_zero = float(achieved[zero].mean())
         score, achieved = score[self.counted], achieved[self.counted]
         means, errors = achieved.mean(1), np.abs(achieved - levels[:, None])
@@ -239,33 +248,32 @@ class _Judge(NamedTuple):
             # Scores, because labels end at ±1.
             "adjacent_order": float((np.diff(score, axis=0) > 0).mean()),
             "spread": float(achieved.std(axis=1).mean()),
-            "feasible": float(feasible.mean()),
+            "feasible": float(feasible[self.counted].mean()),
             "waves": float((excess > _WAVE).mean()),
             "turning": float(turned[[0, -1]].mean()),
             "length_ratio_at_1": float(ratio[-1]),
             "length_ratio_at_0": float(ratio[zero]),
             "length_ratio_at_-1": float(ratio[0]),
-            "optimum": self._optimum(score[-1], length[-1]),
+            "optimum": optimum,
             "beyond_archive": float(np.mean(beyond)),
-            "dragan_rises": self._rises(legibility, _SIX),
-            "dragan_rises_at_3": self._rises(legibility, _THREE),
+            "dragan_rises": dragan_rises(curves, scene, self.levels, DRAGAN_LEVELS),
+            "dragan_rises_at_3": dragan_rises(curves, scene, self.levels, _THREE),
             "achieved": means.tolist(),
             "error_by_level": errors.mean(1).tolist(),
         }
 
-    def _rises(self, legibility: Array, levels: Array) -> float:
-        return float((np.diff(legibility[np.isin(self.levels, levels)]) > 0).all())
+    def _optimum(self, scores: Array, lengths: Array, feasible: Array) -> float | None:
+        """Gain of feasible curves over ℓ = 0, over that of the best elites that are no longer.
 
-    def _optimum(self, scores: Array, lengths: Array) -> float | None:
-        """Gain of curves over ℓ = 0, over that of the best elites that are no longer.
-
-        None where no such elite gains anything.
+        None where no such elite gains anything worth the name.
         """
-        shorter = self.lengths <= lengths[:, None] * (1 + 1e-3)
+        if not feasible.any():
+            return None
+        shorter = self.lengths <= lengths[feasible, None] * (1 + 1e-3)
         anchor = self.archive.anchor_score
         best = np.where(shorter, self.archive.scores, anchor).max(1, initial=anchor)
-        reach = (best - anchor).mean()
-        return float((scores - anchor).mean() / reach) if reach > 1e-9 else None
+        gain, most = (scores[feasible] - anchor).mean(), (best - anchor).mean()
+        return float(gain / most) if most > _LEAST_GAIN * self.archive.range[1] else None
 
 
 def _turning_near(archive: Archive, level: float) -> float:
@@ -273,20 +281,3 @@ def _turning_near(archive: Archive, level: float) -> float:
     near = np.abs(archive.labels - level) <= _NEAR
     near[archive.nearest(level)] = True
     return float(turning(bezier_trajectories(archive.controls[near], _POINTS)).mean())
-
-
-def _dragan(curves: Array, scene: Scene) -> Array:
-    """Dragan's legibility (HRI 2013) of curves `(B, T, D)` [m] at constant speed, `(B,)`."""
-    beta = _BETA_SHARE / scene.size
-    return dragan_legibility(resample(curves, _POINTS // 4), scene.goals, 0, beta)
-
-
-def _rounded(metrics: dict[str, Any]) -> dict[str, Any]:
-    """The same with six digits, so that a file of many scenes stays small."""
-
-    def digits(value: Any) -> Any:
-        if isinstance(value, list):
-            return [digits(v) for v in value]
-        return float(f"{value:.6g}") if isinstance(value, float) else value
-
-    return {name: digits(value) for name, value in metrics.items()}
