@@ -26,6 +26,7 @@ _VERBS = {
     "train diffusion-policy": "train a baseline that knows the goal alone",
     "train legibility-diffuser": "train a baseline that is guided away from the distractors",
     "evaluate dial": "measure achieved against asked legibility on held-out scenes",
+    "evaluate eyes": "measure how one observer's dial looks to every other observer",
     "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
     "evaluate unseen": "the same methods on held-out scenes, relative to each scene's oracle",

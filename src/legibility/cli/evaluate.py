@@ -13,6 +13,7 @@ from .options import MODEL, MODELS, OptionalText, OutputFile, Workers, flags, ma
 from .report import result_figure
 
 _Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
+_Eyes = Annotated[Any, arg(constructor=flags(configuration.EyesConfig))]
 _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig))]
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
 _Unseen = Annotated[Any, arg(constructor=flags(configuration.UnseenConfig))]
@@ -49,6 +50,11 @@ def dial(
 ) -> None:
     """Measure achieved against asked legibility on held-out scenes."""
     _evaluate("dial", configuration.DialConfig, evaluation, model, json, figure, workers)
+
+
+def eyes(evaluation: _Eyes, workers: Workers, model: _Model = MODEL, json: _Json = None) -> None:
+    """Turn the dial for one observer, and measure what every other one sees of it."""
+    _evaluate("eyes", configuration.EyesConfig, evaluation, model, json, workers=workers)
 
 
 def execution(
@@ -160,7 +166,7 @@ def _evaluate(
         weights["baselines"] = [output.model_record(name) for name in names.values()]
     name = model or MODELS[environment_dim(settings.env)]
     modulator, weights["model"] = Modulator.from_pretrained(name), output.model_record(name)
-    with output.progress_bar("scenes" if kind == "dial" else "rollouts") as progress:
+    with output.progress_bar("scenes" if kind in ("dial", "eyes") else "rollouts") as progress:
         evaluate = getattr(module, f"evaluate_{kind}")
         result = evaluate(modulator, config=settings, **options, progress=progress)
     _write(kind, settings, result, json, **weights)

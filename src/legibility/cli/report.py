@@ -18,9 +18,10 @@ def report(
 ) -> None:
     """Render results as one page of Markdown with pictures, and as model cards.
 
-    DIR holds results by `KIND-NAME.json`. NAME of weights: dial of `evaluate dial`, closed-loop of
-    the same with --closed-loop, execution of `evaluate execution`, transfer of the same in another
-    simulator, ablations of `evaluate ablations`, tuning of `train legibility-diffuser`. NAME of an
+    DIR holds results by `KIND-NAME.json`. NAME of weights: closed-loop of `evaluate dial
+    --closed-loop`, eyes of `evaluate eyes`, execution of `evaluate execution`, transfer of the same
+    in another simulator, ablations of `evaluate ablations`, tuning of `train legibility-diffuser`.
+    NAME of weights and -REGIME: dial of `evaluate dial`, and execution past obstacles. NAME of an
     environment: table1, unseen and spectrum of the verbs of these names. NAME of a device: bench of
     `bench`. Pictures of dials and spectra are drawn in DIR.
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..data.configuration import SceneStream
 from ..data.dataset import Dataset, generate
 from ..errors import InvalidInputError
 from ..files import file_hash
@@ -88,7 +87,8 @@ def evaluate_ablations(
 
     Returns:
         `rows`: of each variant its `text`, whether it is `small_run`, `sha256` of its weights,
-        `overall` as of `evaluate_dial`, `plan_ms` on one core; `data`: digest of the training data.
+        `overall` of quick plans as of `evaluate_dial`, `plan_ms` on one core; `data`: digest of the
+        training data.
 
     Raises:
         InvalidInputError: the data are of another observer than the model, or too few.
@@ -132,7 +132,7 @@ def evaluate_ablations(
         network_settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
                              "guidance": teacher.guidance}  # fmt: skip
     training = PathTrainingConfig(steps=config.training_steps)
-    scene = SceneStream("evaluation", network.dim, config.goals, config.seed).scene(0)
+    scene = config.stream(network.dim).scene(0)
     result = {}
     for name, variant in rows.items():
         weights = pretrained_folder(model)
@@ -148,7 +148,7 @@ def evaluate_ablations(
         shown = part(config.scenes)
         modulator = Modulator.from_pretrained(weights)
         dial = evaluate_dial(modulator, settings, progress=shown)
-        overall = dial["overall"]
+        overall = dial["overall"]["quick"]
         result[name] = {
             "text": variant.text,
             "small_run": bool(variant.scenes),

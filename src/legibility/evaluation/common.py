@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..checks import Array
+from ..curves import resample
 from ..envs.block_reach import BlockReachVector
+from ..intent.metrics import dragan_legibility
 from ..modulator import Modulator
 from ..motion.path import Path
 from ..parallel import Each, threads
@@ -53,6 +55,39 @@ def level_steps(number: int) -> Array:
     return np.round(np.linspace(-1, 1, number), 12)
 
 
+DRAGAN_LEVELS = level_steps(6)
+"""Levels of ℓ over which Dragan's legibility must rise."""
+
+_DRAGAN_BETA = 10.0
+"""Rationality of that observer, over the scene's size: half of the default observer's."""
+
+_DRAGAN_POINTS = 100
+
+
+def dragan_rises(curves: Array, scene: Scene, levels: Array, over: Array) -> float:
+    """1 if Dragan's legibility (HRI 2013), by code of its own, rises over ℓ, 0 otherwise.
+
+    Args:
+        curves: `(M S, T, D)` [m], S to goal 0 at each level; their mean counts.
+        scene: the scene.
+        levels: ℓ `(M,)`, rising.
+        over: those of them over which it must rise.
+    """
+    steady = resample(curves, _DRAGAN_POINTS)
+    legibility = dragan_legibility(steady, scene.goals, 0, _DRAGAN_BETA / scene.size)
+    means = legibility.reshape(len(levels), -1).mean(axis=1)[np.isin(levels, over)]
+    return float((np.diff(means) > 0).all())
+
+
+def rounded(value: Any) -> Any:
+    """`value` with six digits of each number, so that a file of many scenes stays small."""
+    if isinstance(value, dict):
+        return {name: rounded(v) for name, v in value.items()}
+    if isinstance(value, list):
+        return [rounded(v) for v in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
 def world(kind: type[BlockReachVector]) -> str:
     """The name of an environment in results."""
     return kind.__name__.removesuffix("Vector")
@@ -92,7 +127,7 @@ def execute_paths(
         rollouts += execute(
             modulator, kind, [plans.scene] * len(paths), env_seed + first,
             {"target": plans.target}, legibility=[path.legibility for path in paths],
-            seed=plan_seed + first, paths=paths,
+            seed=plan_seed + first, paths=paths, observer=plans.observer,
         )  # fmt: skip
         advance(len(paths))
     return rollouts

@@ -188,7 +188,7 @@ def evaluate_unseen(
         `tests`: see `compare`, paired by scene; `search`: number of curves of the two searches.
     """
     contest, place = _contest(modulator, policies, config)
-    source = SceneStream("evaluation", contest.kind.dim, config.goals, config.seed)
+    source = SceneStream("evaluation", contest.kind.dim, goals=config.goals, seed=config.seed)
     observer = modulator.config.observer
     archives = [source.archive(index, observer) for index in range(config.scenes)]
     oracle = [measured(a.trajectories[a.nearest(1.0)], a, place.spacing) for a in archives]

@@ -3,8 +3,17 @@
 from dataclasses import dataclass
 
 from ..checks import bounded, count, random_seed
-from ..data.configuration import SceneStream
+from ..data.configuration import REGIMES, SceneStream
 from ..errors import InvalidInputError
+
+EVALUATED = tuple(regime for regime in REGIMES if regime != "training")
+"""The regimes of held-out scenes."""
+
+MODES = ("bare", "quick", "exact")
+"""How paths are planned: as the network draws them, by default, or exactly."""
+
+_DEFAULT_ROOM = ("paper", "dragan", "observers", "obstacles")
+_ONE_OBSERVER = ("paper", "dragan", "obstacles")
 
 
 def _check_counts(config: object, **least: int) -> None:
@@ -19,17 +28,33 @@ class HeldOutScenes:
 
     Attributes:
         scenes: random scenes of the evaluation stream.
+        regime: of scenes and observers. paper: the default workspace, empty, and the paper's
+            observer; dragan: the same with Dragan's; observers: the same with any observer; rooms:
+            empty rooms of any size and aspect; obstacles: the default workspace with one to four
+            obstacles; all: any room and any observer, up to four obstacles.
         goals: least and most goals of a scene.
         seed: of the scenes, the plans, the actions and the robots' hidden properties.
     """
 
     scenes: int = 200
+    regime: str = "dragan"
     goals: tuple[int, int] = (2, 6)
     seed: int = 0
 
     def __post_init__(self) -> None:
         count("scenes", self.scenes)
-        SceneStream("evaluation", goals=self.goals, seed=self.seed)
+        self._check_regime(EVALUATED)
+        self.stream(2)
+
+    def stream(self, dim: int) -> SceneStream:
+        """The scenes in D dimensions."""
+        return SceneStream("evaluation", dim, self.regime, self.goals, self.seed)
+
+    def _check_regime(self, allowed: tuple[str, ...]) -> None:
+        if self.regime not in allowed:
+            raise InvalidInputError(
+                f"regime must be one of {', '.join(allowed)} here, got {self.regime!r}"
+            )
 
 
 @dataclass(frozen=True)
@@ -39,6 +64,8 @@ class DialConfig(HeldOutScenes):
     Attributes:
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
+        modes: bare (the network's own paths), quick (the default) and exact; if not given, all of
+            plans, and quick alone of executed motions.
         candidates: paths of which the nearest is measured as well; 0 leaves it out.
         guidance: weight of classifier-free guidance at ±1; the model's own if not given.
         steps: of the sampler; the model's own if not given.
@@ -50,6 +77,7 @@ class DialConfig(HeldOutScenes):
 
     levels: int = 21
     samples: int = 8
+    modes: tuple[str, ...] = ()
     candidates: int = 16
     guidance: float | None = None
     steps: int | None = None
@@ -59,8 +87,33 @@ class DialConfig(HeldOutScenes):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_counts(self, levels=3, samples=1, candidates=0)
-        if self.env is not None and not self.closed_loop:
+        if strange := [mode for mode in self.modes if mode not in MODES]:
+            raise InvalidInputError(f"modes must be among {', '.join(MODES)}, got {strange[0]!r}")
+        if not self.modes:
+            object.__setattr__(self, "modes", ("quick",) if self.closed_loop else MODES)
+        if self.closed_loop:
+            self._check_regime(_DEFAULT_ROOM)
+        elif self.env is not None:
             raise InvalidInputError(f"env {self.env} belongs to closed_loop, which is not asked")
+
+
+@dataclass(frozen=True)
+class EyesConfig(HeldOutScenes):
+    """Settings of the evaluation; a regime is of its scenes alone.
+
+    Attributes:
+        levels: levels of ℓ at equal steps from −1 to 1.
+        samples: paths drawn for a level.
+        exact: meet each level by the scene's archive.
+    """
+
+    levels: int = 11
+    samples: int = 4
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_counts(self, levels=3, samples=1)
 
 
 @dataclass(frozen=True)
@@ -80,6 +133,7 @@ class ExecutionConfig(HeldOutScenes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._check_regime(_ONE_OBSERVER)
         if count("rollouts", self.rollouts) % self.scenes or self.rollouts < 3 * self.scenes:
             raise InvalidInputError(
                 f"rollouts must be a multiple of scenes, three or more in each, "
@@ -184,6 +238,6 @@ class AblationsConfig(HeldOutScenes):
     def dial(self, steps: int | None = None, guidance: float | None = None) -> DialConfig:
         """How a row is measured, `steps` and `guidance` of the sampler as in `DialConfig`."""
         return DialConfig(
-            self.scenes, self.goals, self.seed, self.levels, self.samples,
-            candidates=0, guidance=guidance, steps=steps,
+            self.scenes, self.regime, self.goals, self.seed, self.levels, self.samples,
+            modes=("quick",), candidates=0, guidance=guidance, steps=steps,
         )  # fmt: skip

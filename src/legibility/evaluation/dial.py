@@ -1,20 +1,35 @@
 """The exactness of the dial: asked against achieved label on held-out scenes."""
 
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..checks import Array
 from ..curves import arc_length, turning
 from ..data.configuration import SceneStream
 from ..envs import vector_type
 from ..modulator import Modulator
+from ..motion.archive import Archive, scene_archive
+from ..motion.bezier import bezier_trajectories
 from ..parallel import pool, threads
 from ..seeds import plan_seeds
-from .common import Progress, counter, execute_paths, gather, level_steps, silent, world
-from .configuration import DialConfig
-from .statistics import rank_correlation, summary
+from .common import (
+    DRAGAN_LEVELS,
+    Progress,
+    counter,
+    dragan_rises,
+    execute_paths,
+    gather,
+    level_steps,
+    rounded,
+    silent,
+    world,
+)  # fmt: skip
+from .configuration import MODES, DialConfig
+from .statistics import rank_correlation, spearman_ceiling, summary
 
 METRICS = {
     "spearman": "Spearman correlation of asked and achieved ℓ",
@@ -23,17 +38,40 @@ METRICS = {
     "at_1": "achieved ℓ when asked 1",
     "at_0": "achieved ℓ when asked 0",
     "at_-1": "achieved ℓ when asked −1",
-    "length_ratio_at_0": "length over the straight line's when asked 0",
-    "inside": "share of curves inside the workspace",
-    "drawn_inside": "the same, before curves are brought back to its walls",
-    "beyond_archive": "share of paths asked for ±1 beyond the archive's best",
-    "turning": "angle that paths asked for ±1 turn through [rad]",
     "wrong_order": "share of adjacent levels whose mean achieved ℓ does not rise",
+    "adjacent_order": "share of adjacent single draws in the right order",
     "spread": "standard deviation of the achieved ℓ among samples of a level",
+    "feasible": "share of curves that touch nothing",
+    "replaced": "share of paths for which an archive's curve stands in",
+    "waves": "share of curves asked for ±1 that turn 0.5 rad more than the archive's there",
+    "turning": "angle that curves asked for ±1 turn through [rad]",
+    "length_ratio_at_1": "length over the shortest when asked 1",
+    "length_ratio_at_0": "length over the shortest when asked 0",
+    "length_ratio_at_-1": "length over the shortest when asked −1",
+    "optimum": "gain when asked 1 over the archive's best gain in that length",
+    "beyond_archive": "share of curves asked for ±1 beyond the archive's best",
+    "dragan_rises": "share of scenes in which Dragan's legibility rises over six levels",
+    "dragan_rises_at_3": "the same over −1, 0, 1",
     "success": "share of rollouts that reached the target",
     "deviation": "mean distance from the planned curve over its length",
 }
 """The metrics of a scene; the last two are of executed motions only, some of plans only."""
+
+LIMITS = {
+    "noise": "error of the achieved ℓ by another seed of the archive",
+    "spearman": "greatest Spearman correlation given that noise",
+    "below": "nats that the archive spans below ℓ = 0",
+    "above": "nats that the archive spans above ℓ = 0",
+}
+"""What a scene and its archive allow."""
+
+_OPTIONS: dict[str, dict[str, bool]] = dict(
+    zip(MODES, ({"refine": False}, {}, {"exact": True}), strict=True)
+)
+_POINTS = 400  # at which curves are measured
+_THREE = level_steps(3)
+_NEAR, _WAVE = 0.05, 0.5
+_LEAST_GAIN = 0.01  # of the archive's range
 
 
 def evaluate_dial(
@@ -56,24 +94,43 @@ def evaluate_dial(
         progress: called with the number of finished items and of all items.
 
     Returns:
-        `overall`: each of `METRICS` with mean over scenes, 95 % interval, worst and best;
-        `scenes`: the same of each scene, its number of goals and the labels achieved at each level;
+        `overall`: number of `scenes`, each of `LIMITS` and, by mode, each of `METRICS` with mean
+        over scenes, 95 % interval, median, worst and best; `sound` and `degenerate`: the same of
+        scenes whose labels mean something and of the others, None without any; `scenes`: the same
+        of each scene, its number of goals, and for each mode the labels achieved at each level;
         `levels`: the asked levels; `env`: the environment of a closed loop.
     """
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
-    source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
     levels = level_steps(config.levels)
-    measure = partial(_measure, modulator, source, levels, config)
+    measure = partial(_measure, modulator, config.stream(modulator.config.dim), levels, config)
     advance = counter(progress, config.scenes)
     with pool(workers, cluster) as work:
         advance(0)
         rows = gather(work, measure, range(config.scenes), lambda _: advance(1))
-    names = [name for name in METRICS if name in rows[0]]
     return {
         **({"env": world(kind)} if kind else {}),
-        "overall": {name: summary(np.array([row[name] for row in rows])) for name in names},
+        "overall": _overall(rows),
+        "sound": _overall([row for row in rows if not row["degenerate"]]),
+        "degenerate": _overall([row for row in rows if row["degenerate"]]),
         "levels": levels.tolist(),
         "scenes": rows,
+    }
+
+
+def _overall(rows: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """The summaries of some scenes."""
+    if not rows:
+        return None
+
+    def summaries(part: str, names: dict[str, str]) -> dict[str, Any]:
+        values = {n: [r[part][n] for r in rows if r[part].get(n) is not None] for n in names}
+        return {name: summary(np.array(found)) for name, found in values.items() if found}
+
+    modes = [mode for mode in MODES if mode in rows[0]]
+    return {
+        "scenes": len(rows),
+        "limits": summaries("limits", LIMITS),
+        **{mode: summaries(mode, METRICS) for mode in modes},
     }
 
 
@@ -82,59 +139,145 @@ def _measure(
     modulator: Modulator, source: SceneStream, levels: Array, config: DialConfig, index: int
 ) -> dict[str, Any]:
     archive = source.archive(index, modulator.config.observer)
-    scene = archive.scene
-    options: dict[str, Any] = {"guidance": config.guidance, "steps": config.steps}
+    scene, observer = archive.scene, archive.observer
+    judge = _Judge.of(archive, levels, config.samples)
     (seed,) = plan_seeds(config.seed, index, 1)
-    asked = np.repeat(levels, config.samples)
-    path = modulator.plan(scene, 0, asked, seed=seed, **options)
-    zero = np.abs(asked) == np.abs(levels).min()
-    if config.closed_loop:
-        kind = vector_type(config.env, scene.dim)
-        rollouts = execute_paths(modulator, kind, path, seed, seed)
-        score = np.array([r.score for r in rollouts])
-        curves = np.stack([r.trajectory(200) for r in rollouts])
-        off = [r.deviation.mean() for r in rollouts] / path.length
-        metrics = {
-            "success": float(np.mean([r.success for r in rollouts])),
-            "deviation": float(off.mean()),
-        }
-    else:
-        score, curves = path.score, path.trajectory(200)
-        ends = np.abs(asked) == 1
-        metrics = {
-            "drawn_inside": float(1 - np.mean(path.clipped)),
-            "turning": float(turning(curves[ends]).mean()),
-        }
-        if config.candidates:
-            # The modulator chooses by its own archive, as for a user; this one is the judge.
-            nearest = modulator.plan(
-                scene, 0, levels, seed=seed, num_candidates=config.candidates, **options
-            )
-            labels = archive.label_of(nearest.score)
-            metrics["error_candidates"] = float(np.abs(labels - levels).mean())
-    achieved = archive.label_of(score)
-    table = achieved.reshape(len(levels), config.samples)
-    means = table.mean(axis=1)
-    length = arc_length(curves) / np.linalg.norm(scene.goals[0] - scene.start)
-    scores = score.reshape(table.shape)
-    beyond = np.concatenate([scores[0] < archive.scores.min(), scores[-1] > archive.scores.max()])
-    metrics |= {
-        "spearman": rank_correlation(asked, achieved),
-        "error": float(np.abs(achieved - asked).mean()),
-        "at_-1": float(means[0]),
-        "at_0": float(table.ravel()[zero].mean()),
-        "at_1": float(means[-1]),
-        "beyond_archive": float(beyond.mean()),
-        "inside": float(scene.contains(curves).all(-1).mean()),
-        "length_ratio_at_0": float(length[zero].mean()),
-        "wrong_order": float((np.diff(means) < 1e-9).mean()),
-        "spread": float(table.std(axis=1).mean()),
-    }
+    plan = partial(
+        modulator.plan, scene, 0, seed=seed, observer=observer, guidance=config.guidance,
+        steps=config.steps,
+    )  # fmt: skip
+    modes: dict[str, Any] = {}
+    for mode in config.modes:
+        path = plan(legibility=judge.asked, **_OPTIONS[mode])
+        metrics: dict[str, Any] = {"replaced": float(np.mean(path.replaced))}
+        if config.closed_loop:
+            kind = vector_type(config.env, scene.dim)
+            rollouts = execute_paths(modulator, kind, path, seed, seed)
+            off = [r.deviation.mean() for r in rollouts] / path.length
+            metrics |= {
+                "success": float(np.mean([r.success for r in rollouts])),
+                "deviation": float(off.mean()),
+            }
+            scores = np.array([r.score for r in rollouts])
+            curves = np.stack([r.trajectory(_POINTS) for r in rollouts])
+        else:
+            scores, curves = path.score, path.trajectory(_POINTS)
+            if config.candidates and mode == "quick":
+                # The modulator chooses by its own archive, as for a user; this one is the judge.
+                nearest = plan(legibility=levels, num_candidates=config.candidates)
+                labels = archive.label_of(nearest.score)
+                metrics["error_candidates"] = float(np.abs(labels - levels).mean())
+        modes[mode] = rounded(judge.metrics(scores, curves) | metrics)
+    below, above = archive.range
+    noise = judge.noise()
+    ceiling = spearman_ceiling(np.repeat(levels, config.samples), noise)
+    limits = {"noise": noise, "spearman": ceiling, "below": below, "above": above}
     return {
         "scene": index,
         "goals": scene.num_goals,
-        **metrics,
-        "achieved": means.tolist(),
-        "error_by_level": np.abs(table - levels[:, None]).mean(axis=1).tolist(),
-        "drawn_inside_by_level": (1 - path.clipped.reshape(table.shape).mean(axis=1)).tolist(),
+        "obstacles": len(scene.obstacles),
+        "observer": observer.kind,
+        "degenerate": archive.degenerate,
+        "blocked": archive.blocked,
+        "limits": rounded(limits),
+        **modes,
     }
+
+
+class _Judge(NamedTuple):
+    """What measures the curves of a scene.
+
+    Attributes:
+        archive: reads their labels.
+        levels: of ℓ that are planned, `(M,)`, rising: the asked ones and those of Dragan's test.
+        counted: which of them were asked, `(M,)` bool.
+        samples: curves of a level.
+        lengths: of the archive's curves [m], `(N,)`.
+        turned: angle [rad] that the archive's curves near −1 and near 1 turn through.
+    """
+
+    archive: Archive
+    levels: Array
+    counted: NDArray[np.bool]
+    samples: int
+    lengths: Array
+    turned: tuple[float, float]
+
+    @classmethod
+    def of(cls, archive: Archive, levels: Array, samples: int) -> "_Judge":
+        """The judge by an archive of `samples` curves at each of `levels`."""
+        planned = np.unique(np.concatenate([levels, DRAGAN_LEVELS, _THREE]))
+        turned = _turning_near(archive, -1), _turning_near(archive, 1)
+        lengths = arc_length(archive.trajectories)
+        return cls(archive, planned, np.isin(planned, levels), samples, lengths, turned)
+
+    @property
+    def asked(self) -> Array:
+        """ℓ of each curve, `(M S,)`."""
+        return np.repeat(self.levels, self.samples)
+
+    def noise(self) -> float:
+        """Mean error of labels that are read off an archive of another seed, the modulator's."""
+        archive, levels = self.archive, self.levels[self.counted]
+        other = scene_archive(archive.scene, archive.target, archive.observer)
+        return float(np.abs(archive.label_of(other.score_of(levels)) - levels).mean())
+
+    def metrics(self, scores: Array, curves: Array) -> dict[str, Any]:
+        """Those of `METRICS` that scores `(M S,)` and curves `(M S, T, D)` [m] have."""
+        archive, scene = self.archive, self.archive.scene
+        shape = len(self.levels), self.samples
+        score, levels = scores.reshape(shape), self.levels[self.counted]
+        achieved = archive.label_of(scores).reshape(shape)
+        turned, length = turning(curves).reshape(shape), arc_length(curves).reshape(shape)
+        ratio = length.mean(1) / archive.shortest_length
+        zero = int(np.flatnonzero(self.levels == 0)[0])
+        excess = turned[[0, -1]] - np.array(self.turned)[:, None]
+        beyond = [score[0] < archive.scores.min(), score[-1] > archive.scores.max()]
+        feasible = scene.feasible(curves, archive.target).reshape(shape)
+        optimum = self._optimum(score[-1], length[-1], feasible[-1])
+        at_zero = float(achieved[zero].mean())
+        score, achieved = score[self.counted], achieved[self.counted]
+        means, errors = achieved.mean(1), np.abs(achieved - levels[:, None])
+        return {
+            "spearman": rank_correlation(np.repeat(levels, self.samples), achieved.ravel()),
+            "error": float(errors.mean()),
+            "at_1": float(means[-1]),
+            "at_0": at_zero,
+            "at_-1": float(means[0]),
+            "wrong_order": float((np.diff(means) < 1e-9).mean()),
+            # Scores, because labels end at ±1.
+            "adjacent_order": float((np.diff(score, axis=0) > 0).mean()),
+            "spread": float(achieved.std(axis=1).mean()),
+            "feasible": float(feasible[self.counted].mean()),
+            "waves": float((excess > _WAVE).mean()),
+            "turning": float(turned[[0, -1]].mean()),
+            "length_ratio_at_1": float(ratio[-1]),
+            "length_ratio_at_0": float(ratio[zero]),
+            "length_ratio_at_-1": float(ratio[0]),
+            "optimum": optimum,
+            "beyond_archive": float(np.mean(beyond)),
+            "dragan_rises": dragan_rises(curves, scene, self.levels, DRAGAN_LEVELS),
+            "dragan_rises_at_3": dragan_rises(curves, scene, self.levels, _THREE),
+            "achieved": means.tolist(),
+            "error_by_level": errors.mean(1).tolist(),
+        }
+
+    def _optimum(self, scores: Array, lengths: Array, feasible: Array) -> float | None:
+        """Gain of feasible curves over ℓ = 0, over that of the best elites that are no longer.
+
+        None where no such elite gains anything worth the name.
+        """
+        if not feasible.any():
+            return None
+        shorter = self.lengths <= lengths[feasible, None] * (1 + 1e-3)
+        anchor = self.archive.anchor_score
+        best = np.where(shorter, self.archive.scores, anchor).max(1, initial=anchor)
+        gain, most = (scores[feasible] - anchor).mean(), (best - anchor).mean()
+        return float(gain / most) if most > _LEAST_GAIN * self.archive.range[1] else None
+
+
+def _turning_near(archive: Archive, level: float) -> float:
+    """Mean angle [rad] that the archive's curves near a level turn through."""
+    near = np.abs(archive.labels - level) <= _NEAR
+    near[archive.nearest(level)] = True
+    return float(turning(bezier_trajectories(archive.controls[near], _POINTS)).mean())

@@ -85,13 +85,14 @@ def evaluate_execution(
     Returns:
         `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ of
         all rollouts (not where the target moved: a label belongs to a scene), the deviation from
-        the curve followed at the time over the length of the first curve, violations, and the
-        environment's counts; `env`; `disturbance` [m].
+        the curve followed at the time over the length of the first curve, violations, among them
+        `contacts` (steps) in `touching` rollouts, and the environment's counts; `env`;
+        `disturbance` [m].
     """
     policy = modulator.path_policy
     if policy is None:
         raise InvalidInputError(f"the model {modulator.name} has no stage 2 to evaluate")
-    source = SceneStream("evaluation", modulator.config.dim, config.goals, config.seed)
+    source = config.stream(modulator.config.dim)
     kind = vector_type(config.env, modulator.config.dim)
     limit = policy.config.limit
     disturbance = _DISTURBANCE * limit if config.disturbance is None else config.disturbance
@@ -110,7 +111,8 @@ def evaluate_execution(
             part = slice(first, first + at_once)
             seeds = plan_seeds(config.seed, first, 3, "demonstration")
             tasks.append((next(iter(ROWS)), scenes[part], levels[part], seeds, None))
-        run = partial(_rollouts, modulator, policy, kind, disturbance)
+        watching = archives[0].observer  # one for all scenes of these regimes
+        run = partial(_rollouts, modulator, policy, kind, watching, disturbance)
         parts: list[list[Rollout]] = []
         for name, row in ROWS.items():
             tasks = [(name, *task[1:]) for task in tasks]
@@ -138,6 +140,7 @@ def _rollouts(
     modulator: Modulator,
     policy: PathPolicy,
     kind: type[BlockReachVector],
+    observer: Observer,
     disturbance: float,
     task: _Task,
 ) -> list[Rollout]:
@@ -146,7 +149,7 @@ def _rollouts(
     options = {row.disturbance: disturbance} if row.disturbance else {}
     return execute(
         modulator, kind, scenes, env_seed, options, legibility=levels, seed=plan_seed,
-        paths=paths, driver=row.driver(policy, policy_seed), replan=row.replan,
+        paths=paths, driver=row.driver(policy, policy_seed), replan=row.replan, observer=observer,
     )  # fmt: skip
 
 
@@ -190,6 +193,9 @@ def _metrics(
         "deviation": over_scenes(deviation),
         "steps": float(np.mean([len(r.actions) for r in rollouts])),
         "replanned": float(np.mean([len(r.replans) > 0 for r in rollouts])),
+        "contacts": sum(r.contacts for r in rollouts),
+        "touching": sum(r.contacts > 0 for r in rollouts),
+        "corrections": sum(r.corrections for r in rollouts),
         "wall_contacts": sum(r.wall_contacts for r in rollouts),
         "states_outside": int(((states < low - 1e-9) | (states > high + 1e-9)).any(-1).sum()),
         "farthest_outside": float(np.maximum(low - states, states - high).max()),

@@ -76,6 +76,19 @@ def rank_correlation(asked: Array, achieved: Array) -> float:
     return float(result.statistic)
 
 
+def spearman_ceiling(asked: Array, error: float, draws: int = 64) -> float:
+    """Spearman's correlation with `asked (N,)` of labels that err by nothing but noise.
+
+    The noise is normal, seeded, its mean absolute value is `error`, and labels are clipped to
+    [−1, 1]. Where levels repeat, the ceiling is below 1 without any noise: samples of a level
+    differ.
+    """
+    rng = np.random.default_rng(0)
+    spread = max(error, 1e-6) * np.sqrt(np.pi / 2)
+    noisy = np.clip(asked + spread * rng.normal(size=(draws, len(asked))), -1, 1)
+    return float(np.mean([rank_correlation(asked, labels) for labels in noisy]))
+
+
 def share_interval(happened: np.ndarray, level: float = 0.95) -> tuple[float, float]:
     """Exact interval (Clopper & Pearson 1934) of the share of `happened (N,)` bool."""
     from scipy.stats import binomtest
@@ -85,11 +98,12 @@ def share_interval(happened: np.ndarray, level: float = 0.95) -> tuple[float, fl
 
 
 def summary(values: Array) -> dict[str, float | list[float]]:
-    """Mean over scenes with its 95 % interval, and the least and greatest value."""
+    """Mean over scenes with its 95 % interval, the median, and the least and greatest value."""
     values = np.asarray(values, dtype=np.float64)
     return {
         "mean": float(values.mean()),
         "interval": list(bootstrap_interval(values)),
+        "median": float(np.median(values)),
         "min": float(values.min()),
         "max": float(values.max()),
     }

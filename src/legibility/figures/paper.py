@@ -180,7 +180,7 @@ def archive_figure(
 
 
 def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
-    """Draw asked against achieved ℓ over all scenes, and the error by level.
+    """Draw asked against achieved ℓ of quick plans over all scenes, and the error by level.
 
     Thin lines are scenes, the shade holds 95 % of them.
 
@@ -193,16 +193,17 @@ def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
     """
     try:
         levels = np.array(result["levels"], dtype=np.float64)
-        achieved = np.array([s["achieved"] for s in result["scenes"]], dtype=np.float64)
-        errors = np.array([s["error_by_level"] for s in result["scenes"]], dtype=np.float64)
-        overall = result["overall"]
-        order = "Spearman {mean:.3f}\nworst scene {min:.3f}".format(**overall["spearman"])
-        error = "mean error {mean:.3f}".format(**overall["error"])
-        if "error_candidates" in overall:
-            error += "\nwith candidates {mean:.3f}".format(**overall["error_candidates"])
+        overall, scenes = result["overall"], result["scenes"]
+        mode = next(m for m in ("quick", "exact", "bare") if m in overall)
+        achieved = np.array([s[mode]["achieved"] for s in scenes], dtype=np.float64)
+        errors = np.array([s[mode]["error_by_level"] for s in scenes], dtype=np.float64)
+        order = "Spearman {mean:.3f}\nworst scene {min:.3f}".format(**overall[mode]["spearman"])
+        error = "mean error {mean:.3f}".format(**overall[mode]["error"])
+        if mode == "quick" and "exact" in overall:
+            error += "\nexact {mean:.3f}".format(**overall["exact"]["error"])
         if not achieved.shape == errors.shape == (len(errors), len(levels)):
             raise ValueError(f"{achieved.shape} numbers for {len(levels)} levels")
-    except (KeyError, TypeError, ValueError) as cause:
+    except (KeyError, TypeError, ValueError, StopIteration) as cause:
         raise InvalidInputError(f"not a result of `legibility evaluate dial`: {cause!r}") from cause
 
     with figure_file(file, COLUMN, 2.05) as figure:

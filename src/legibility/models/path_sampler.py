@@ -76,7 +76,7 @@ class Tasks(NamedTuple):
     def of(self, rows: NDArray[np.intp]) -> Tasks:
         """Those of some rows."""
         if len(self.scenes) == 1:
-            return self._replace(levels=self.levels[rows])
+            return Tasks(*self[:3], self.levels[rows])
         chosen = ([values[i] for i in rows] for values in self[:3])
         return Tasks(*chosen, self.levels[rows])
 
@@ -147,7 +147,7 @@ class PathSampler:
                 if not len(wrong):
                     break
                 again = tasks.of(wrong)
-                again = again._replace(levels=again.levels * (1 - _STEP_BACK) ** retry)
+                again = Tasks(*again[:3], again.levels * (1 - _STEP_BACK) ** retry)
                 paths[wrong] = self.draw(again, seed ^ retry, sampling)
         margin = tasks.margin(paths)
         touching = np.flatnonzero(margin < 0)

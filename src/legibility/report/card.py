@@ -8,7 +8,7 @@ from ..errors import InvalidInputError
 from ..evaluation.contest import METHODS
 from ..models.provenance import TrainingRecord
 from .results import Results, headline_table, well_formed
-from .sections import goals_of, threads_of
+from .sections import threads_of
 from .table import Part, markdown
 
 _HEAD = """\
@@ -27,8 +27,8 @@ _PAGE = "the repository's `docs/results.md`"
 def render_card(name: str, config: dict[str, Any], results: Results) -> str:
     """The model card of the weights `name`, from the content of their `config.json`.
 
-    Of `results`, the modulator needs `dial` and, with a stage 2, `closed-loop` and `execution`;
-    Legibility Diffuser needs `tuning`.
+    Of `results`, the modulator needs `dial` in the regimes dragan and all and, with a stage 2,
+    `closed-loop` and `execution`; Legibility Diffuser needs `tuning`.
 
     Raises:
         InvalidInputError: a result is missing or of other weights, or the training is not known.
@@ -50,9 +50,11 @@ def render_card(name: str, config: dict[str, Any], results: Results) -> str:
 def _modulator(
     name: str, config: dict[str, Any], records: dict[str, TrainingRecord], results: Results
 ) -> list[Part]:
+    dials = [f"{name}-{regime}" for regime in ("dragan", "all")]
     kinds = ["dial", *(["closed-loop", "execution"] if "policy" in records else [])]
     for kind in kinds:
-        _result(results, kind, name, config, records if kind != "dial" else ["path"])
+        for found in dials if kind == "dial" else [name]:
+            _result(results, kind, found, config, records if kind != "dial" else ["path"])
     path, record = config["path"]["config"], records["path"]
     observer, data = path["observer"], record.data
     stages = f"Stage 1, the path diffuser, turns start, goals and ℓ into {NUM_WAYPOINTS} waypoints."
@@ -64,10 +66,12 @@ def _modulator(
         f"The Legibility Modulator for {path['dim']}-D block reaching. {stages} Load it with "
         f'`legibility.Modulator.from_pretrained("{name}")`.',
         "## Data",
-        f"{data['scenes']:,} random scenes with {goals_of(data)} (stream `{data['stream']}`, seed "
-        f"{data['seed']}), {data['per_scene']} trajectories a scene, chosen flat along ℓ from its "
-        f"quality-diversity archive; labels `{observer['label']}`, σ = {observer['sigma']} m, α = "
-        f"{observer['alpha']}. SHA-256 over the shards: `{record.digest}`.",
+        f"{data['scenes']:,} random scenes (regime `{data['regime']}`, stream `{data['stream']}`, "
+        f"seed {data['seed']}), rooms of any size among them, empty or with obstacles, each seen "
+        f"by {data['views']} random observers; for each of these {data['per_scene']} trajectories, "
+        "chosen flat along ℓ from the scene's quality-diversity archive; labels "
+        f"`{observer['label']}`, α = {observer['alpha']:g}, detour {observer['detour']:g}. SHA-256 "
+        f"over the shards: `{record.digest}`.",
         "## Training of stage 1",
         *_stage_1(path, record),
         *stage_2,
@@ -75,9 +79,9 @@ def _modulator(
         headline_table({kind: results[kind] for kind in kinds}, {name: "value"}),
         f"All metrics with their intervals are in {_PAGE}.",
         "## Limits",
-        "The observer is a model, not a person. The weights were trained in the default workspace "
-        "only and know no obstacles. Labels are ranks within a scene's archive: the same ℓ is "
-        "another score in another scene.",
+        "The observer is a model, not a person. Labels are ranks within a scene's archive: the "
+        "same ℓ is another score in another scene, and for another observer. α, the detour and the "
+        "kind of label are fixed.",
     ]
 
 

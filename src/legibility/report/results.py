@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 
 from ..errors import InvalidInputError
 from ..files import read_document
+from .dials import dial_section, eyes_section, percent, regimes_tables
 from .sections import (
     NOTES,
     ablations_section,
     bench_section,
-    dial_section,
     execution_section,
-    percent,
     spectrum_section,
     table1_section,
     unseen_section,
@@ -38,6 +37,7 @@ KINDS = {
     "closed-loop": Kind(
         "The dial of executed motions", dial_section, "Asked against achieved ℓ of executed motions"
     ),
+    "eyes": Kind("Whose eyes?", eyes_section),
     "execution": Kind("Execution", execution_section),
     "transfer": Kind("Transfer to another simulator", execution_section),
     "table1": Kind("Table I of the paper", table1_section),
@@ -95,6 +95,11 @@ def render_page(results: Results, pictures: str) -> str:
     if headline.rows:
         parts += ["## At a glance", headline.markdown()]
     parts += ["## Metrics", markdown(NOTES)]
+    for model, documents in by_model(results).items():
+        with well_formed(f"a dial of {model} is not what `legibility` writes"):
+            tables = regimes_tables(documents)
+        if tables[0].rows:
+            parts += [f"## Regimes: {model}", markdown(tables)]
     for kind, (title, _, picture) in KINDS.items():
         if kind in results:
             parts.append(f"## {title}")
@@ -106,6 +111,15 @@ def render_page(results: Results, pictures: str) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def by_model(results: Results) -> dict[str, dict[str, Document]]:
+    """The results `dial-MODEL-REGIME.json` by model and regime."""
+    found: dict[str, dict[str, Document]] = {}
+    for name, document in results.get("dial", {}).items():
+        model, _, regime = name.rpartition("-")
+        found.setdefault(model, {})[regime] = document
+    return found
+
+
 def headline_table(results: Results, models: dict[str, str] | None = None) -> Table:
     """The few metrics to read first, of shipped weights or of `models`, with their heads by name.
 
@@ -114,26 +128,38 @@ def headline_table(results: Results, models: dict[str, str] | None = None) -> Ta
     models = models or {"block-reach-2d": "2-D", "panda-block-reach": "Panda"}
     table = Table("metric", *models.values())
 
-    def add(text: str, kind: str, cell: Callable[[Any], str]) -> None:
+    def add(text: str, kind: str, cell: Callable[[Any], str], regime: str = "") -> None:
         documents = results.get(kind, {})
-        if documents.keys() & models.keys():
-            cells = (cell(documents[m]["result"]) if m in documents else "–" for m in models)
+        names = [f"{model}-{regime}" if regime else model for model in models]
+        if documents.keys() & set(names):
+            cells = (cell(documents[n]["result"]) if n in documents else "–" for n in names)
             table.add_row(text, *cells)
 
-    def mean(metric: str) -> Callable[[Any], str]:
-        return lambda result: number(result["overall"][metric]["mean"], 4)
+    def mean(metric: str, mode: str = "quick") -> Callable[[Any], str]:
+        return lambda result: number(result["overall"][mode][metric]["mean"], 4)
 
     with well_formed("a result is not what `legibility` writes"):
-        add("Spearman correlation of asked and achieved ℓ", "dial", mean("spearman"))
-        add("mean absolute error of ℓ", "dial", mean("error"))
-        add("achieved ℓ when asked 1", "dial", mean("at_1"))
-        add("achieved ℓ when asked −1", "dial", mean("at_-1"))
-        add("error of ℓ of the executed motion", "closed-loop", mean("error"))
+        add("Spearman correlation of asked and achieved ℓ", "dial", mean("spearman"), "dragan")
+        add("mean absolute error of ℓ", "dial", mean("error"), "dragan")
+        add("the same, exact", "dial", mean("error", "exact"), "dragan")
+        add("achieved ℓ when asked 1", "dial", mean("at_1"), "dragan")
+        add("achieved ℓ when asked −1", "dial", mean("at_-1"), "dragan")
+        text = "any room, any observer, obstacles"
+        add(f"{text}: Spearman correlation", "dial", mean("spearman"), "all")
+        add(f"{text}: mean absolute error", "dial", mean("error"), "all")
+        add(f"{text}: the same, exact", "dial", mean("error", "exact"), "all")
         add(
-            "success of executed motions",
-            "execution",
-            lambda result: percent(result["rows"]["policy"]["success"]["mean"]),
+            f"{text}: share of paths that touch nothing",
+            "dial",
+            lambda result: percent(result["overall"]["quick"]["feasible"]["mean"]),
+            "all",
         )
+        add("error of ℓ of the executed motion", "closed-loop", mean("error"))
+        success: Callable[[Any], str] = lambda result: percent(  # noqa: E731
+            result["rows"]["policy"]["success"]["mean"]
+        )
+        add("success of executed motions", "execution", success)
+        add("the same, past obstacles", "execution", success, "obstacles")
         bench = results.get("bench", {}).get("cpu", {"result": {"measurements": []}})
         plans = {
             (row["model"], row["backend"]): three_digits(row["median"])

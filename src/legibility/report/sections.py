@@ -1,23 +1,29 @@
 """The result of an evaluation as a few sentences and tables; `NOTES` explains the metrics."""
 
-from collections.abc import Iterable
 from typing import Any
 
 from ..evaluation.ablations import COLUMNS
 from ..evaluation.comparison import METRICS as MOTION_METRICS
 from ..evaluation.comparison import TARGETS, TESTED, paper_rows
 from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
-from ..evaluation.dial import METRICS
 from ..evaluation.execution import ROWS
+from .dials import REGIMES, means, percent, scenes_of
 from .table import Bold, Part, Table, number, three_digits
 
 NOTES = (
     "Scenes are random and held out; intervals are of 95 %. The achieved ℓ of a trajectory is its "
     "score read off the archive of its scene; Spearman's correlation and the error compare it with "
-    "the asked ℓ, whether a motion arrived or not. Lengths are relative to the straight line; the "
-    "deviation is the mean distance from the curve followed, over the length of the first curve. "
-    "Robots have hidden gains and lags; PandaGymBlockReach (panda-gym) is never used in training. "
-    "The bench times control steps and `plan_one_core_ms` on one core.",
+    "the asked ℓ, whether a motion arrived or not. Their limits are what another seed of the "
+    "archive leaves: the error of its labels, and the correlation of labels with that noise, which "
+    "stays below 1 where samples share a level. The deviation is the mean distance from the curve "
+    "followed, over the length of the first curve. Robots have hidden gains and lags; "
+    "PandaGymBlockReach (panda-gym) is never used in training. The bench times control steps and "
+    "`plan_one_core_ms` on one core.",
+    "Paths come in three modes: bare, as the network draws them; quick, the default, moved out of "
+    "contact at the score that was drawn; exact, at the score that the archive gives ℓ. The judge "
+    "is always another archive than that. Curves wave if they turn 0.5 rad more than the archive's "
+    "of that ℓ. The way to the optimum is the gain in score over ℓ = 0, over that of the archive's "
+    "best curve that is no longer; its median counts.",
     "All methods share scenes, robots and seeds. The oracle is the most legible trajectory of a "
     "scene's archive; brackets in Table I hold the ratio to it, ours to ours and the paper's to "
     "the paper's, and only ratios are comparable: the paper's L_p is of another field. Bold is "
@@ -40,55 +46,14 @@ _VIOLATIONS = {
 }
 
 
-def goals_of(config: dict[str, Any]) -> str:
-    """How many goals the scenes of a configuration have."""
-    low, high = config["goals"]
-    return f"{low} goals" if low == high else f"{low} to {high} goals"
-
-
-def _scenes_of(document: dict[str, Any]) -> str:
-    config, seed = document["config"], document["seed"]
-    return f"{config['scenes']:,} held-out random scenes with {goals_of(config)} (seed {seed})"
-
-
-def percent(share: float) -> str:
-    """A share in percent with two decimals."""
-    return f"{share:.2%}"
-
-
-def _means(metrics: dict[str, Any], names: Iterable[str], digits: int = 4) -> list[str]:
-    """The means of some metrics, – for those that were not measured."""
-    return [number(metrics[n]["mean"], digits) if n in metrics else "–" for n in names]
-
-
-def dial_section(document: dict[str, Any]) -> list[Part]:
-    """The metrics of `legibility evaluate dial`, of planned paths or of executed motions."""
-    config, result = document["config"], document["result"]
-    if config["closed_loop"]:
-        how = f"Stage 2 executes every path in {result['env']}, to within 2 cm of the target."
-    else:
-        how = f"Only the row “with candidates” takes the nearest of {config['candidates']} paths."
-    table = Table("metric", "mean over scenes", "95 % interval", "of single scenes")
-    for name, values in result["overall"].items():
-        ends = (*values["interval"], values["min"], values["max"])
-        low, high, least, most = (number(value, 4) for value in ends)
-        mean = number(values["mean"], 4)
-        table.add_row(METRICS[name], mean, f"{low} to {high}", f"{least} to {most}")
-    return [
-        f"{_scenes_of(document)}, {config['levels']} levels of ℓ, {config['samples']} samples of "
-        f"each. {how}",
-        table,
-    ]
-
-
 def ablations_section(document: dict[str, Any]) -> list[Part]:
     """The dial under other samplers, and of small runs that lack a part."""
     config = document["config"]
     table = Table("change", *COLUMNS.values(), "one plan [ms]")
     for row in document["result"]["rows"].values():
-        table.add_row(row["text"], *_means(row["overall"], COLUMNS), number(row["plan_ms"], 1))
+        table.add_row(row["text"], *means(row["overall"], COLUMNS), number(row["plan_ms"], 1))
     return [
-        f"Means over {_scenes_of(document)}, {config['levels']} levels of ℓ, {config['samples']} "
+        f"Means over {scenes_of(document)}, {config['levels']} levels of ℓ, {config['samples']} "
         f"samples of each. Small runs have only {config['training_steps']:,} training steps; "
         "compare them with the first small run. On rank labels ℓ = 0 is not the straight line.",
         table,
@@ -100,7 +65,7 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
     config, result = document["config"], document["result"]
     table = Table(
         "controller", "success (95 % interval)", "within 5 cm", "Spearman", "error of ℓ",
-        "deviation", "replanned", "stopped early",
+        "deviation", "replanned", "contacts", "stopped early",
     )  # fmt: skip
     rows = result["rows"]
     for name, row in rows.items():
@@ -110,9 +75,10 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
             ROWS[name].text,
             f"{mean} ({low} to {high})",
             percent(row["within_5_cm"]) if "within_5_cm" in row else "–",
-            *_means(row, ("spearman", "error")),
+            *means(row, ("spearman", "error")),
             percent(row["deviation"]["mean"]),
             percent(row["replanned"]),
+            f"{row['contacts']:,}",
             ", ".join(f"{n:,} {reason}" for reason, n in reasons if reason != "reached"),
         )
     violations = [
@@ -121,11 +87,12 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
     farthest = max(0.0, *(row["farthest_outside"] for row in rows.values()))
     plan = rows["policy"]
     counts = [f"{n} {name.replace('_', ' ')}" for name, n in plan["counts"].items()]
-    correlation, error = _means(plan, ("spearman_of_plan", "error_of_plan"))
+    correlation, error = means(plan, ("spearman_of_plan", "error_of_plan"))
     return [
-        f"{config['rollouts']:,} rollouts a row on {_scenes_of(document)}, ℓ uniform in [−1, 1], "
-        f"in {result['env']}. A push displaces the robot, a shift the target, half-way by "
-        f"{100 * result['disturbance']:g} cm.",
+        f"{config['rollouts']:,} rollouts a row on {scenes_of(document)}, "
+        f"{REGIMES[config['regime']]}, ℓ uniform in [−1, 1], in {result['env']}. Contacts are "
+        "steps into an obstacle or another goal's block. A push displaces the robot, a shift the "
+        f"target, half-way by {100 * result['disturbance']:g} cm.",
         table,
         f"The plans have a correlation of {correlation} and an error of {error}. All rows had "
         f"{', '.join(violations)} (at most {1e3 * farthest:.1f} mm outside)."
@@ -228,11 +195,11 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
             METHODS[name].text,
             percent(method["success"]["mean"]),
             *ratios,
-            *_means(method, ("length_ratio", "achieved"), 3),
-            *_means(method, ("spearman", "error")),
+            *means(method, ("length_ratio", "achieved"), 3),
+            *means(method, ("spearman", "error")),
         )
     return [
-        f"{_scenes_of(document)}, in {result['env']}. L_d and L_p are medians over scenes of "
+        f"{scenes_of(document)}, in {result['env']}. L_d and L_p are medians over scenes of "
         f"{config['rollouts']} motions with ℓ = 1, over the oracle; an L_p below "
         f"{result['least']['potential_cost']:g} counts as that much. The last two columns are of "
         f"{config['levels']} more motions a scene, one of each level. The oracle and the best of "
