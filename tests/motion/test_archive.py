@@ -16,9 +16,7 @@ from legibility.intent.metrics import DEFAULT_ALPHA, SCORE_POINTS
 from legibility.motion.archive import (
     SMALLEST_RANGE,
     Archive,
-    CurveGrid,
     build_archive,
-    free,
     passable,
     scene_archive,
 )
@@ -29,6 +27,7 @@ from legibility.motion.bezier import (
     crosses_itself,
     straight_controls,
 )
+from legibility.motion.curve_grid import CurveGrid, free
 
 PAPER = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
 BLOCKED = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[lg.Ball([0.4, 0.52], 0.1)])
@@ -164,6 +163,19 @@ def test_cell_of_a_point_contains_it(seed, dim):
     side = (grid.high - grid.low) / grid.cells
     low = grid.low + index * side
     assert ((points >= low - 1e-9) & (points <= low + side + 1e-9)).all()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("cells", range(4, 12))
+def test_no_border_between_cells_is_on_the_straight_line(dim, cells):
+    """Rounding would choose the side."""
+    grid = CurveGrid(random_scene(0, dim), 0, 1.5, cells)
+    line = np.zeros((50, dim))
+    line[:, 0] = np.linspace(0.01, 0.99, 50)
+    beside = line + 1e-9 * np.append(0, np.ones(dim - 1))
+    found = [grid.cell_of(grid.frame.frame_to_world(x)) for x in (line, beside, 2 * line - beside)]
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
 
 
 def test_rim_belongs_to_the_outermost_cells():

@@ -8,8 +8,9 @@ from ..checks import count
 from ..curves import NUM_WAYPOINTS
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
-from ..motion.archive import Archive, random_controls
+from ..motion.archive import Archive
 from ..motion.bezier import bezier_trajectories, straight_controls
+from ..motion.curve_grid import random_controls
 from ..motion.path import Path, straight_waypoints
 from ..scene import Scene
 

@@ -14,35 +14,31 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..checks import Array, count, finite_array, positive, seed_or_entropy
-from ..curves import arc_length, farthest_from_segment
+from ..curves import arc_length
 from ..errors import InvalidInputError, InvalidSceneError
 from ..frame import Frame
 from ..intent.field import Field
 from ..intent.labels import label_knots
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import DEFAULT_OBSERVER, Observer
-from ..scene import TOUCH, Scene
-from .bezier import (
-    bending_energy,
-    bezier_bounds,
-    bezier_stretches,
-    bezier_trajectories,
-    crosses_itself,
-    straight_controls,
+from ..scene import Scene
+from .bezier import bezier_trajectories, crosses_itself, straight_controls
+from .curve_grid import (
+    LARGEST_REACH,
+    REACH,
+    CurveGrid,
+    draw_bounds,
+    free,
+    random_controls,
+    varied_controls,
+    with_ends,
 )
 
 _BATCH = 1024
-_REACH = 1 / 3
-"""Margin in which control points are drawn around the region that curves may reach, as a share of
-its side: a cubic Bézier gets three quarters of the way to its control points."""
-
-_LARGEST_REACH = 8 / 3  # one with an S-bend gets less than a third of the way
-
 _FINE = 4 * SCORE_POINTS  # points on which a length is measured
-_STRETCHES = (24, 8, 8, 8)  # parts into which a curve, then a stretch near an obstacle, is cut
 
 DEFAULT_CELLS = {2: 28, 3: 11}
 """Cells along the straight line, by dimension."""
@@ -164,93 +160,6 @@ class Archive:
         return int(ties[np.argmin(self.energies[ties])])
 
 
-class CurveGrid:
-    """MAP-Elites' container over the region that motions of a length can reach.
-
-    Args:
-        scene: the scene.
-        target: index of the intended goal.
-        longest: length of a curve [m].
-        cells: along the straight line.
-        reach: margin in which control points are drawn, as a share of the region's side.
-    """
-
-    def __init__(
-        self, scene: Scene, target: int, longest: float, cells: int, reach: float = _REACH
-    ) -> None:
-        self.scene, self.target, self.goal = scene, target, scene.target(target)
-        self.longest, self.frame = longest, Frame.of(scene, target)
-        self.low, self.high = _region(self.frame, longest)
-        self.bounds = _bounds(scene, target, longest, reach)
-        self.cells = np.ceil((self.high - self.low) * cells - 1e-9).astype(np.intp)
-        self.cells[1:] |= 1  # odd, so that no border between cells is on the straight line
-        size = int(np.prod(self.cells))
-        self.energies = np.full(size, np.inf)
-        self.controls = np.zeros((size, 4, scene.dim))
-        self.descriptors = np.zeros((size, scene.dim))
-        self.reached = np.zeros(size, dtype=bool)
-
-    @property
-    def filled(self) -> NDArray[np.intp]:
-        """Indices of the cells that hold a curve, rising."""
-        return np.flatnonzero(np.isfinite(self.energies))
-
-    def cell_of(self, descriptors: Array) -> NDArray[np.intp]:
-        """Flat index `(...)` of the cell of each point `(..., D)` [m]; others go to the rim."""
-        share = (self.frame.world_to_frame(descriptors) - self.low) / (self.high - self.low)
-        index = np.clip((share * self.cells).astype(np.intp), 0, self.cells - 1)
-        return index @ np.append(np.cumprod(self.cells[:0:-1])[::-1], 1)
-
-    def add(self, controls: Array) -> int:
-        """Place `controls (N, 4, D)`; returns how many cells were filled for the first time."""
-        trajectories = bezier_trajectories(controls, SCORE_POINTS)
-        keep = arc_length(trajectories) <= self.longest * (1 + 1e-9)
-        controls, trajectories = controls[keep], trajectories[keep]
-        descriptors = farthest_from_segment(trajectories, self.scene.start, self.goal)
-        cells = self.cell_of(descriptors)
-        self.reached[cells[self.scene.contains(descriptors)]] = True
-        # Only a curve that is smoother than its cell's elite is worth the other checks.
-        energies = bending_energy(controls)
-        keep = np.flatnonzero(energies < self.energies[cells])
-        keep = keep[~crosses_itself(controls[keep])]
-        keep = keep[free(self.scene, self.target, controls[keep])]
-        controls, descriptors = controls[keep], descriptors[keep]
-        cells, energies = cells[keep], energies[keep]
-        # The smoothest of each cell in this batch takes the cell.
-        order = np.lexsort((energies, cells))
-        cells, first = np.unique(cells[order], return_index=True)
-        best = order[first]
-        new = int(np.isinf(self.energies[cells]).sum())
-        self.energies[cells], self.controls[cells] = energies[best], controls[best]
-        self.descriptors[cells] = descriptors[best]
-        return new
-
-
-def free(scene: Scene, target: int, controls: Array) -> np.ndarray:
-    """Whether each curve `controls (N, 4, D)` keeps clear of walls and obstacles, `(N,)` bool.
-
-    A stretch of a curve touches nothing if its ends are together farther from everything solid than
-    it is long. Others are cut finer.
-    """
-    low, high = bezier_bounds(controls)
-    clear = scene.contains(low) & scene.contains(high)
-    if not scene.obstacles and not scene.goal_radius:
-        return clear
-    solids, least = scene.solids(target), -TOUCH * scene.diagonal
-    rows = np.flatnonzero(clear)
-    first, width = np.zeros(len(rows)), 1.0
-    for parts in _STRETCHES:
-        points = bezier_stretches(controls[rows], first, width, parts + 1)
-        distance = solids.distance(points.reshape(-1, scene.dim)).reshape(points.shape[:-1])
-        clear[rows[distance.min(-1) < least]] = False
-        length = 1.1 * np.linalg.norm(np.diff(points, axis=-2), axis=-1)  # of an arc above a chord
-        near = (distance[:, :-1] + distance[:, 1:] < length) & clear[rows, None]
-        width /= parts
-        row, part = np.nonzero(near)
-        rows, first = rows[row], first[row] + width * part
-    return clear
-
-
 @np.errstate(under="ignore")
 def build_archive(
     scene: Scene,
@@ -300,8 +209,8 @@ def build_archive(
     while tried < max_candidates and idle < 4:
         size = min(_BATCH, max_candidates - tried)
         exploring = tried < random_candidates
-        draw = random_controls if exploring else _varied_controls
-        new = grid.add(_with_ends(draw(rng, grid, size), anchor))
+        draw = random_controls if exploring else varied_controls
+        new = grid.add(with_ends(draw(rng, grid, size), anchor))
         tried += size
         idle = 0 if exploring or new >= patience * len(grid.filled) else idle + 1
 
@@ -345,57 +254,6 @@ def _scored(
     return scores, float(anchor_score)
 
 
-def _region(frame: Frame, longest: float) -> tuple[Array, Array]:
-    """Low and high corner in the frame of all points on motions of at most that length [m].
-
-    They lie in an ellipse whose foci are start and target.
-    """
-    ratio = longest / frame.scale
-    half = np.full(len(frame.origin), np.sqrt(max(ratio**2 - 1, 0)) / 2)
-    half[0] = ratio / 2
-    half = np.maximum(half, 1e-3)  # at a detour of 1 there is the straight line only
-    centre = np.zeros(len(half))
-    centre[0] = 0.5
-    return centre - half, centre + half
-
-
-def _bounds(scene: Scene, target: int, longest: float, reach: float) -> tuple[Array, Array]:
-    """Low and high corner [m] of the box from which control points are drawn."""
-    frame = Frame.of(scene, target)
-    low, high = _region(frame, longest)
-    middle = frame.frame_to_world((low + high) / 2)
-    half = np.sqrt((frame.rotation.T**2) @ (high - low) ** 2) / 2 * frame.scale
-    low = np.maximum(middle - half, scene.workspace[0])
-    high = np.minimum(middle + half, scene.workspace[1])
-    return low - reach * (high - low), high + reach * (high - low)
-
-
-def random_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Array:
-    """Inner control points `(size, 2, D)` [m] drawn uniformly around the region of a grid."""
-    return rng.uniform(*grid.bounds, (size, 2, grid.scene.dim))
-
-
-def _varied_controls(rng: np.random.Generator, grid: CurveGrid, size: int) -> Array:
-    """Inner control points of varied elites (the line operator of Vassiliades & Mouret 2018).
-
-    An elite is moved along its difference from another and by a little isotropic noise.
-    """
-    low, high = grid.bounds
-    filled = grid.filled
-    parents = grid.controls[rng.choice(filled, size)][:, 1:3]
-    others = grid.controls[rng.choice(filled, size)][:, 1:3]
-    along = rng.normal(0, 0.2, (size, 1, 1))
-    noise = rng.normal(0, 0.02, parents.shape) * (high - low)
-    return np.clip(parents + along * (others - parents) + noise, low, high)
-
-
-def _with_ends(inner: Array, anchor: Array) -> Array:
-    """Controls `(N, 4, D)` of inner control points `(N, 2, D)` between the ends of `anchor`."""
-    controls = np.tile(anchor, (len(inner), 1, 1))
-    controls[:, 1:3] = inner
-    return controls
-
-
 @functools.lru_cache(maxsize=64)
 def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
     """The straight line `(4, D)`, or the shortest feasible curve where it is blocked.
@@ -403,13 +261,13 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
     Random curves in a region that grows until some are feasible, then variations of the shortest.
 
     Returns:
-        The curve, its length [m], and the margin (`_REACH`) in which such curves were found.
+        The curve, its length [m], and the margin (`REACH`) in which such curves were found.
     """
     straight = straight_controls(scene.start, scene.target(target))
     straight.setflags(write=False)
     scale = Frame.of(scene, target).scale
     if free(scene, target, straight[None])[0]:
-        return straight, scale, _REACH
+        return straight, scale, REACH
     rng = np.random.default_rng(0)
     best, lengths = np.empty((0, 4, scene.dim)), np.empty(0)
 
@@ -424,10 +282,10 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
         best, lengths = best[order], lengths[order]
 
     for growth in 2.0 ** np.arange(6):
-        reach = min(growth * _REACH, _LARGEST_REACH)
-        bounds = _bounds(scene, target, 2.5 * growth * scale, reach)
+        reach = min(growth * REACH, LARGEST_REACH)
+        bounds = draw_bounds(scene, target, 2.5 * growth * scale, reach)
         for _ in range(4):
-            keep_shortest(_with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
+            keep_shortest(with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
         if len(best) >= 8:
             break
     if not len(best):
@@ -439,7 +297,7 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
     for generation in range(16):
         parents = best[rng.integers(0, len(best), _BATCH // 4)][:, 1:3]
         noise = rng.normal(0, 0.2 * scale * 0.75**generation, parents.shape)
-        keep_shortest(_with_ends(parents + noise, straight))
+        keep_shortest(with_ends(parents + noise, straight))
     anchor = best[0]
     anchor.setflags(write=False)
     return anchor, float(lengths[0]), reach
