@@ -64,7 +64,7 @@ def project(
     room = _Room.of(scene, target, observer)
     task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
     rows = np.arange(len(paths))
-    best, merit = _descend(task, task.drawn, rows)
+    best, merit = _descend(task, task.drawn, rows, task.first)
     rows = np.flatnonzero(merit > _RETRY[wanted is not None])
     rows = rows[task.touching[rows]]
     if len(rows):
@@ -176,11 +176,6 @@ class _Room:
             distance[near], normal[near] = self.solids.nearest(points[near])
         return distance, normal
 
-    def touching(self, points: Array) -> np.ndarray:
-        """Whether any of the points of each curve `(B, T, D)` is in contact, `(B,)` bool."""
-        solid = self.nearest(points.reshape(-1, points.shape[-1]), 0.0)[0]
-        return np.minimum(solid.reshape(points.shape[:-1]), self.to_walls(points)).min(-1) < 0
-
     def clearance(self, points: Array) -> Array:
         """Distance `(...)` of points `(..., D)` from everything."""
         walls = self.to_walls(points)
@@ -227,10 +222,11 @@ class _Task:
 
     Attributes:
         drawn: `(B, K + 2, D)`, as they are.
-        cost: `(B,)`, −score wanted.
+        cost: `(B,)`, log(−score) wanted.
         touching: `(B,)` bool, whether they are in contact.
-        longest: `(B,)`, length allowed.
+        longest: `(B,)`, log of the length allowed.
         pull: `(B, K, D)`, what draws the waypoints to the shape drawn.
+        first: their curves.
     """
 
     def __init__(
@@ -242,30 +238,34 @@ class _Task:
         shortest: float | None,
     ) -> None:
         self.room, self.drawn, self.alpha = room, drawn, observer.alpha
-        matrices = _matrices(drawn.shape[-1])
-        points = matrices.curve @ drawn
-        self.cost, self.longest = self._cost(points)
-        self.touching = room.touching(points)
+        self.pull = _matrices(drawn.shape[-1]).shape @ drawn
+        self.cost = self.longest = np.zeros(len(drawn))
+        first = self.curves(drawn, np.arange(len(drawn)))
+        self.cost = first.error
         if wanted is not None:
-            self.cost = np.maximum(-wanted, _LEAST_COST)
+            self.cost = np.log(np.maximum(-wanted, _LEAST_COST))
         longest = 1 / _TINY
         if shortest is not None:
             longest = observer.detour * shortest / room.scale
         elif room.straight:
             longest = observer.detour
-        self.longest = np.maximum(self.longest, longest)
-        self.pull = matrices.shape @ drawn
+        self.longest = np.maximum(first.excess, np.log(longest))
+        self.first = first._replace(
+            error=first.error - self.cost, excess=first.excess - self.longest
+        )
+        clear = np.minimum(first.gap + room.pad, room.to_walls(first.points))
+        self.touching = clear.min(-1) < 0
 
     def curves(self, paths: Array, rows: np.ndarray) -> _Curves:
         """The curves of `paths (B, K + 2, D)`, of which each is of one of the `rows (B,)`."""
         room, size = self.room, NUM_WAYPOINTS * paths.shape[-1]
         matrices = _matrices(paths.shape[-1])
         points = matrices.curve @ paths
-        cost, length, slope, tangents = self._cost(points, gradient=True)
+        cost, length, slope, tangents = self._cost(points)
         # Near enough for contact between two points, or for the pad.
         reach = max(_PAD, 2 * length.max() / _POINTS)
         gap, normal = room.nearest(points.reshape(-1, points.shape[-1]), reach)
-        excess = np.log(length / self.longest[rows])
+        excess = np.log(length) - self.longest[rows]
         stretch = np.zeros((len(paths), size))
         if (excess > 0).any():
             stretch = (matrices.change.T @ tangents).reshape(-1, size) / length[:, None]
@@ -273,16 +273,16 @@ class _Task:
             points,
             gap.reshape(points.shape[:-1]) - room.pad,
             normal.reshape(points.shape),
-            np.log(cost / self.cost[rows]),
+            np.log(cost) - self.cost[rows],
             slope.reshape(-1, size) / cost[:, None],
             excess,
             stretch,
         )
 
-    def _cost(self, points: Array, gradient: bool = False) -> tuple[Array, ...]:
-        """`−L_p` (paper, eq. 4) and length `(B,)` of curves `(B, T, D)`.
+    def _cost(self, points: Array) -> tuple[Array, Array, Array, Array]:
+        """`−L_p` (paper, eq. 4) and length of curves `(B, T, D)`, each `(B,)`.
 
-        With the gradient `(B, K, D)` of the first in the waypoints, and the tangents
+        And the gradient `(B, K, D)` of the first in the waypoints, and the tangents
         `(B, T − 1, D)`. As `legibility_score`, which resamples the curve, to 0.001.
         """
         potential, slope = self.room.field.potential_and_gradient(points, self.room.target)
@@ -300,8 +300,6 @@ class _Task:
         total = weights.sum(-1, keepdims=True)
         weights /= total
         cost = np.einsum("bt,bt->b", weights, potential)
-        if not gradient:
-            return np.maximum(cost, _LEAST_COST), length
         # The weights' own derivative: a step that grows shifts the progress of all points.
         over = potential - cost[:, None]
         density = decay * over / total
@@ -376,13 +374,26 @@ class _Task:
 
 @np.errstate(under="ignore")
 def _descend(
-    task: _Task, paths: Array, rows: np.ndarray, score: float = _SCORE
+    task: _Task,
+    paths: Array,
+    rows: np.ndarray,
+    curves: _Curves | None = None,
+    score: float = _SCORE,
 ) -> tuple[Array, Array]:
-    """The best paths on the way from `paths (B, K + 2, D)`, and their merits `(B,)`."""
+    """The best paths on the way from `paths (B, K + 2, D)`, and their merits `(B,)`.
+
+    Args:
+        task: what they should become.
+        paths: each of one of the `rows (B,)`.
+        rows: of the task.
+        curves: theirs, if known.
+        score: the weight of the score.
+    """
     best, merit = paths.copy(), np.full(len(paths), np.inf)
     left, before = np.arange(len(paths)), np.full(len(paths), np.inf)
     for i in range(_STEPS + 1):
-        curves = task.curves(paths, rows)
+        if i or curves is None:
+            curves = task.curves(paths, rows)
         found = task.merit(paths, curves, merit[left])
         better = found < merit[left]
         into = left[better]
