@@ -7,10 +7,11 @@ import numpy as np
 from ..checks import count
 from ..curves import NUM_WAYPOINTS
 from ..intent.metrics import SCORE_POINTS
+from ..frame import Frame
 from ..intent.observer import Observer
 from ..motion.archive import Archive
 from ..motion.bezier import bezier_trajectories, straight_controls
-from ..motion.curve_grid import random_controls
+from ..motion.curve_grid import CurveGrid, free, random_controls
 from ..motion.path import Path, straight_waypoints
 from ..scene import Scene
 
@@ -40,8 +41,8 @@ def search(
 ) -> Path:
     """The nearest to ℓ of random cubic Béziers in this scene.
 
-    They are drawn as the archive draws them. Those that leave the workspace are dropped, and the
-    rest are labelled by their rank among each other.
+    They are drawn as the archive draws them. Those that touch anything are dropped, and the rest
+    are labelled by their rank among each other.
 
     Args:
         scene: any.
@@ -53,11 +54,11 @@ def search(
     """
     rng = np.random.default_rng(seed)
     straight = straight_controls(scene.start, scene.target(target))
+    grid = CurveGrid(scene, target, observer.detour * Frame.of(scene, target).scale, 2)
     controls = np.tile(straight, (count("num_candidates", num_candidates) + 1, 1, 1))
-    controls[1:, 1:3] = random_controls(rng, scene, num_candidates)
+    controls[1:, 1:3] = random_controls(rng, grid, num_candidates)
+    controls = controls[np.append(True, free(scene, target, controls[1:]))]
     curves = bezier_trajectories(controls, SCORE_POINTS)
-    inside = np.append(True, scene.contains(curves[1:]).all(-1))
-    controls, curves = controls[inside], curves[inside]
     scores = observer.score(curves, scene, target)
     best = np.argmin(np.abs(observer.labels(scores, float(scores[0])) - level))
     return Path.through(

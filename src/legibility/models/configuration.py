@@ -10,6 +10,9 @@ from ..errors import CheckpointError, InvalidInputError
 from ..intent.observer import Observer
 
 
+_RESOLUTION = {2: 32, 3: 16}
+
+
 def at_most(name: str, value: Any, most: int) -> None:
     """Raise unless `value` is an integer from 1 to `most`."""
     if count(name, value) > most:
@@ -75,7 +78,7 @@ class PathDiffuserConfig(_NetworkConfig):
         channels: of the U-Net's levels.
         condition: size of the condition.
         encoder_width: channels of the image encoder's first layer.
-        resolution: height and width of the image.
+        resolution: height and width of the image; 0 means 32 in 2D and 16 in 3D.
         squash: deviations from the straight line, in its lengths, beyond which they are compressed
             (by asinh), so that small ones are learned as exactly as large ones.
         diffusion_steps: of the noise schedule in training.
@@ -92,7 +95,7 @@ class PathDiffuserConfig(_NetworkConfig):
     observer: Observer = dataclasses.field(default_factory=Observer)
     field: bool = True
     encoder_width: int = 16
-    resolution: int = 32
+    resolution: int = 0
     squash: float = 0.1
     guidance: float = 0.3
     distilled: bool = False
@@ -109,6 +112,8 @@ class PathDiffuserConfig(_NetworkConfig):
         if not self.channels or NUM_WAYPOINTS % 2 ** (len(self.channels) - 1):
             raise InvalidInputError(f"channels must be of 1 to 4 levels, got {self.channels}")
         _multiple_of_8("encoder_width", self.encoder_width)
+        if count("resolution", self.resolution, low=0) == 0:
+            object.__setattr__(self, "resolution", _RESOLUTION[self.dim])
         _multiple_of_8("resolution", self.resolution)
         positive("squash", self.squash)
         bounded("guidance", self.guidance, -1e3, 1e3)

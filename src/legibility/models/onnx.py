@@ -11,6 +11,7 @@ import logging
 import re
 import warnings
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,14 @@ _TRACED = (
     "diffusion_steps", "sampling_steps", "guidance",
 )  # fmt: skip
 """Settings that a graph depends on."""
+
+
+_NUMBERS = (
+    dict.fromkeys(("slopes", "intercepts", "distractors"), "M")
+    | dict.fromkeys(("centers", "axes", "halves", "radii"), "O")
+    | {"vertices": "Q", "polygon_radii": "Q", "solid_features": "N"}
+)
+"""Inputs of any number of distractors, solids, polygons and features along their second axis."""
 
 
 class _OnnxStage:
@@ -64,7 +73,8 @@ class _OnnxStage:
                     f"{name.removeprefix('sampling_')} must be the model's own {fixed:g} with "
                     f"backend 'onnx', got {value:g}; backend 'torch' takes others"
                 )
-        return self._session.run(None, inputs)[0]
+        read = {node.name for node in self._session.get_inputs()}  # none for polygons in 3D
+        return self._session.run(None, {k: v for k, v in inputs.items() if k in read})[0]
 
 
 class OnnxPathDiffuser(_OnnxStage):
@@ -201,7 +211,7 @@ class _Traced(nn.Module):
 
 def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[int, Any]]]:
     """Inputs of `_Traced` by name: a value, and the axes that may have any size."""
-    dim, (rows, scenes, others) = model.config.dim, (torch.export.Dim(name) for name in "BSM")
+    dim, (rows, scenes) = model.config.dim, (torch.export.Dim(name) for name in "BS")
     if isinstance(model, PathPolicy):
         return {
             "features": (torch.zeros(5, model.observe.in_features), {0: rows}),
@@ -209,12 +219,19 @@ def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[i
             "noise": (torch.zeros(5, model.config.chunk, dim), {0: rows}),
         }
     rng = np.random.default_rng(0)
-    seen = model.conditions([Scene.random(rng, dim=dim, num_goals=4) for _ in range(3)], [0, 0, 0])
-    return {
-        "image": (seen.image, {0: scenes}),
-        "vector": (seen.vector, {0: scenes}),
-        "slopes": (seen.slopes, {0: scenes, 1: others}),
-        "intercepts": (seen.intercepts, {0: scenes, 1: others}),
+    drawn = [Scene.random(rng, dim=dim, num_goals=4) for _ in range(3)]
+    seen = model.conditions(drawn, [0, 0, 0], [model.config.observer] * 3)
+    inputs = {}
+    sizes = {name: torch.export.Dim(name) for name in _NUMBERS.values()}
+    for field in fields(Conditions):
+        value = getattr(seen, field.name)
+        number = _NUMBERS.get(field.name)
+        if number is None or not value.shape[1]:  # no polygons in 3D
+            inputs[field.name] = (value, {0: scenes})
+            continue
+        value = torch.cat([value, value[:, :1]], dim=1) if value.shape[1] == 1 else value
+        inputs[field.name] = (value, {0: scenes, 1: sizes[number]})
+    return inputs | {
         "scene": (torch.tensor([0, 1, 2, 1, 0]), {0: rows}),
         "level": (torch.zeros(5), {0: rows}),
         "noise": (torch.zeros(5, NUM_WAYPOINTS, dim), {0: rows}),
