@@ -6,8 +6,8 @@ import numpy as np
 
 from ..checks import count
 from ..curves import NUM_WAYPOINTS
-from ..intent.metrics import SCORE_POINTS
 from ..frame import Frame
+from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
 from ..motion.archive import Archive
 from ..motion.bezier import bezier_trajectories, straight_controls

@@ -9,7 +9,6 @@ from ..curves import NUM_WAYPOINTS
 from ..errors import CheckpointError, InvalidInputError
 from ..intent.observer import Observer
 
-
 _RESOLUTION = {2: 32, 3: 16}
 
 
