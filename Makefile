@@ -35,11 +35,11 @@ ifdef ARM
 	$(LEGIBILITY) execute examples/panda.yaml --target 0 --legibility -1:1:5 \
 		--spectrum out/arm.png --video out/arm.gif --json out/arm.json
 else
-	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 \
+	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 --observer paper \
 		--figure out/plan.png --json out/plan.json
 	$(LEGIBILITY) plan examples/obstacle.yaml --target 0 --legibility -1:1:9 --observer dragan \
 		--figure out/obstacle.png --json out/obstacle.json
-	$(LEGIBILITY) execute examples/paper.yaml --target 0 --legibility -1:1:9 \
+	$(LEGIBILITY) execute examples/paper.yaml --target 0 --legibility -1:1:9 --observer paper \
 		--figure out/demo.png --video out/demo.gif --json out/demo.json
 endif
 
