@@ -129,10 +129,11 @@ class PathSampler:
             return self.draw(tasks, seed, sampling), replaced
         paths = self.draw_with_retries(tasks, seed, sampling)
         for row, scene, target, observer in tasks.rows():
-            wanted = None
+            wanted = shortest = None
             if exact:
-                wanted = scene_archive(scene, target, observer).score_of(tasks.levels[row])
-            paths[row] = project(paths[row], scene, target, observer, wanted)[0]
+                archive = scene_archive(scene, target, observer)
+                wanted, shortest = archive.score_of(tasks.levels[row]), archive.shortest_length
+            paths[row] = project(paths[row], scene, target, observer, wanted, shortest)[0]
         touching = np.flatnonzero(tasks.margin(paths) < 0)
         replaced[touching] = True
         for i in touching:
