@@ -11,6 +11,7 @@ from legibility.report.card import render_card
 
 DATA = {
     "scenes": 12800, "seed": 0, "stream": "train", "goals": [2, 6], "per_scene": 129,
+    "regime": "training", "views": 3,
 }  # fmt: skip
 TRAINED = {
     "parameters": 1304194, "seconds": 3120.0, "step_seconds": 0.18, "device": "cpu",
@@ -25,7 +26,7 @@ OF_POLICY = {
     **TRAINED, "training": {"steps": 8000, "seed": 0, "batch": 1024},
     "demonstrations": DEMONSTRATIONS,
 }  # fmt: skip
-OBSERVER = {"sigma": 0.15, "alpha": 3.0, "label": "anchored"}
+OBSERVER = {"kind": "boltzmann", "alpha": 3.0, "detour": 2.5, "label": "anchored"}
 CONFIG = {
     "format": 3,
     "path": {
@@ -51,7 +52,8 @@ BASELINE = {
 @pytest.fixture
 def results():
     return {
-        "dial": {"m": documents.dial()}, "closed-loop": {"m": documents.dial(True)},
+        "dial": {f"m-{r}": documents.dial(regime=r) for r in ("dragan", "all")},
+        "closed-loop": {"m": documents.dial(True)},
         "execution": {"m": documents.execution()},
     }  # fmt: skip
 
@@ -63,8 +65,9 @@ def words(card):
 class TestModulator:
     def test_training(self, results):
         card = words(render_card("m", CONFIG, results))
-        assert "12,800 random scenes with 2 to 6 goals (stream `train`, seed 0)" in card
-        assert "labels `anchored`, σ = 0.15 m, α = 3.0" in card
+        assert "12,800 random scenes (regime `training`, stream `train`, seed 0)" in card
+        assert "each seen by 3 random observers; for each of these 129 trajectories" in card
+        assert "labels `anchored`, α = 3, detour 2.5." in card
         assert "12,000 batches of 128 scenes × 8 trajectories, seed 0, in 52 minutes" in card
         assert "8,000 batches of 1,024 moments of demonstrations" in card
         assert "12,800 demonstrations, 4 in each of 3,200 scenes" in card
@@ -72,7 +75,7 @@ class TestModulator:
 
     def test_metrics(self, results):
         card = render_card("m", CONFIG, results)
-        overall = results["dial"]["m"]["result"]["overall"]
+        overall = results["dial"]["m-dragan"]["result"]["overall"]["quick"]
         assert f"| mean absolute error of ℓ | {overall['error']['mean']:.4f} |" in card
         assert "| success of executed motions | 100.00% |" in card
         assert "`docs/results.md`" in card
