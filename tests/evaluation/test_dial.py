@@ -233,7 +233,9 @@ class TestMeasuresWhatItSays:
         config = DialConfig(
             scenes=8, regime="obstacles", levels=3, samples=1, modes=("bare",), candidates=0
         )
-        rows = evaluate_dial(Bent(lambda path: sideways(path, np.zeros((len(path), 10)))), config)["scenes"]
+        rows = evaluate_dial(Bent(lambda path: sideways(path, np.zeros((len(path), 10)))), config)[
+            "scenes"
+        ]
         blocked = [row["blocked"] for row in rows]
         assert 0 < sum(blocked) < 8
         assert [row["bare"]["feasible"] for row in rows] == [float(not b) for b in blocked]
