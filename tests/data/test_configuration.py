@@ -1,22 +1,28 @@
 """Settings: filled in, checked, the same after a round trip; streams of random scenes."""
 
+import dataclasses
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 import legibility as lg
-from legibility.data.configuration import DatasetConfig, DemonstrationsConfig, SceneStream
+from legibility.data.configuration import REGIMES, DatasetConfig, DemonstrationsConfig, SceneStream
 from legibility.errors import DatasetError, InvalidInputError
-from legibility.motion.archive import DEFAULT_CELLS
+from legibility.intent.observer import KINDS
+from legibility.motion.archive import DEFAULT_CELLS, build_archive
+from legibility.scene import DEFAULT_WORKSPACE
 from legibility.seeds import STREAMS
+
+LIKE = lg.Observer(alpha=1.0, detour=2.0, label="rank")
 
 
 class TestDataset:
-    def test_defaults_of_the_dimension_are_filled_in(self):
-        for dim, sigma in ((2, 0.15), (3, 0.08)):
-            config = DatasetConfig(dim=dim)
-            assert (config.observer.sigma, config.cells) == (sigma, DEFAULT_CELLS[dim])
+    def test_cells_of_the_dimension_are_filled_in(self):
+        """Coarser than an archive that judges."""
+        for dim in (2, 3):
+            assert 2 <= DatasetConfig(dim=dim).cells <= DEFAULT_CELLS[dim]
 
     @pytest.mark.parametrize(
         "config",
@@ -24,11 +30,13 @@ class TestDataset:
             DatasetConfig(),
             DatasetConfig(dim=3, scenes=3, seed=5, stream="validation", goals=(3, 3)),
             DatasetConfig(
-                per_scene=33, efficiency=0.5, cells=9, observer=lg.Observer(0.2, 1.0, "rank")
+                regime="all", views=5, candidates=5000, per_scene=33, efficiency=0.5, cells=9,
+                observer=lg.Observer(alpha=1.0, detour=2.0, label="rank"),
             ),
+            DatasetConfig(observer=lg.Observer(prior=(1, 2), beta=3.0)),
         ],
         ids=str,
-    )
+    )  # fmt: skip
     def test_round_trip(self, config):
         assert DatasetConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
@@ -42,10 +50,11 @@ class TestDataset:
             DatasetConfig.from_dict({**DatasetConfig().to_dict(), **change})
 
     def test_for_validation(self):
-        config = DatasetConfig(scenes=9000, seed=3, cells=9)
+        config = DatasetConfig(scenes=9000, seed=3, cells=9, regime="all")
         other = config.for_validation()
-        assert (other.stream, other.scenes) == ("validation", 128)
-        assert (other.seed, other.cells, other.observer) == (3, 9, config.observer)
+        assert (other.stream, other.scenes, other.views) == ("validation", 128, 1)
+        assert (other.seed, other.cells, other.regime) == (3, 9, "all")
+        assert other.observer == config.observer
 
     @pytest.mark.parametrize(
         "wrong",
@@ -59,6 +68,10 @@ class TestDataset:
             {"seed": 0.5},
             {"stream": "test"},
             {"stream": "evaluation"},
+            {"regime": "home"},
+            {"views": 0},
+            {"views": 1.5},
+            {"candidates": 100},
             {"goals": (1, 4)},
             {"goals": (4, 3)},
             {"goals": (2, 13)},
@@ -96,7 +109,7 @@ class TestDemonstrations:
     @pytest.mark.parametrize(
         ("wrong", "match"),
         [
-            ({"demonstrations": 130}, "at most 129"),
+            ({"demonstrations": 66}, "at most 65"),
             ({"demonstrations": 1, "demonstrated": 999}, "at most 9"),
             ({"demonstrations": 0}, "at least 1"),
             ({"demonstrations": 1, "noise": 0.06}, r"noise must be a number from 0 to 0\.05"),
@@ -140,27 +153,81 @@ def test_number_of_goals():
     assert set(numbers) == {3, 4}
 
 
-class TestArchive:
-    def test_is_of_the_scene_and_the_observer(self):
-        stream, observer = SceneStream("validation", seed=1), lg.Observer(0.3, 1.0, "rank")
-        archive = stream.archive(2, observer, cells=9)
-        assert archive.scene == stream.scene(2)
-        assert archive.observer == observer
-        assert archive.field.sigma == 0.3
-        assert archive.target == 0
-        assert len(archive) <= 81
+class TestRegimes:
+    @pytest.mark.parametrize("regime", REGIMES)
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_draws_what_it_says(self, dim, regime):
+        stream = SceneStream("train", dim, regime)
+        scenes = [stream.scene(index) for index in range(8)]
+        observers = [stream.observer_of(i, scene, LIKE) for i, scene in enumerate(scenes)]
+        assert all(observer.scale == LIKE.scale for observer in observers)
+        usual = [np.array_equal(s.workspace, DEFAULT_WORKSPACE[dim]) for s in scenes]
+        numbers = [len(scene.obstacles) for scene in scenes]
+        assert max(numbers) <= 4
+        if regime == "training":
+            assert {*usual} == {True, False}
+            assert min(numbers) == 0 < max(numbers)
+            return
+        assert {*usual} == {regime not in ("rooms", "all")}
+        if regime == "obstacles":
+            assert min(numbers) >= 1
+        elif regime == "all":
+            assert min(numbers) == 0 < max(numbers)
+        else:
+            assert max(numbers) == 0
+        if regime in ("observers", "all"):
+            assert {observer.kind for observer in observers} == set(KINDS)
+        else:
+            own = lg.Observer.paper(dim) if regime == "paper" else lg.Observer()
+            wanted = dataclasses.replace(own, alpha=1.0, detour=2.0, label="rank")
+            assert observers == [wanted] * 8
 
-    def test_other_observers_read_the_same_curves(self):
-        stream = SceneStream("train")
-        one, other = (stream.archive(0, lg.Observer(sigma=sigma), cells=8) for sigma in (0.1, 0.3))
-        np.testing.assert_array_equal(one.controls, other.controls)
-        assert (one.scores != other.scores).any()
+    def test_training_draws_every_observer(self):
+        """A share of the paper's and of the default one, and others."""
+        stream, scene = SceneStream("train", regime="training"), SceneStream("train").scene(0)
+        observers = [stream.observer_of(index, scene, LIKE) for index in range(100)]
+        default = dataclasses.replace(lg.Observer(), alpha=1.0, detour=2.0, label="rank")
+        shares = [
+            np.mean([o == default for o in observers]),
+            np.mean([o.kind == "gaussian" and o.prior == "uniform" for o in observers]),
+            np.mean([isinstance(o.prior, tuple) for o in observers]),
+            np.mean([o.viewpoint is not None for o in observers]),
+        ]
+        assert min(shares) > 0.04
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_in_every_scene_a_curve_leads_to_the_target(self, dim):
+        stream = SceneStream("train", dim, "all", seed=1)
+        for index in range(4):
+            scene = stream.scene(index)
+            archive = build_archive(scene, cells=4, random_candidates=1024, max_candidates=1024)
+            assert scene.feasible(archive.trajectories, 0).any()
+
+    def test_views_of_a_scene_are_observers_of_their_own(self):
+        stream = SceneStream("train", regime="observers")
+        scene = stream.scene(3)
+        views = [stream.observer_of(3, scene, LIKE, view) for view in range(4)]
+        assert len(set(views)) == 4
+        assert views == [stream.observer_of(3, scene, LIKE, view) for view in range(4)]
+        assert views[0] == stream.observer_of(3, scene, LIKE)
+
+
+class TestArchive:
+    SMALL: ClassVar = {"cells": 8, "random_candidates": 1024, "max_candidates": 2048}
+
+    def test_is_of_the_scene_and_its_observer(self):
+        stream = SceneStream("validation", regime="observers", seed=1)
+        archive = stream.archive(2, LIKE, **self.SMALL)
+        assert archive.scene == stream.scene(2)
+        assert archive.observer == stream.observer_of(2, archive.scene, LIKE)
+        assert archive.target == 0
 
     def test_its_seed_is_of_the_index(self):
         stream, scene = SceneStream("train"), SceneStream("train").scene(0)
-        ours = stream.archive(0, lg.Observer(), cells=8)
-        assert not np.array_equal(ours.controls, lg.build_archive(scene, cells=8).controls)
-        again = stream.archive(0, lg.Observer(), cells=8)
+        ours = stream.archive(0, lg.Observer(), **self.SMALL)
+        other = lg.build_archive(scene, **self.SMALL)
+        assert not np.array_equal(ours.controls, other.controls)
+        again = stream.archive(0, lg.Observer(), **self.SMALL)
         np.testing.assert_array_equal(ours.controls, again.controls)
 
 
@@ -171,6 +238,8 @@ class TestArchive:
         {"stream": None},
         {"dim": 4},
         {"dim": "2"},
+        {"regime": "home"},
+        {"regime": None},
         {"seed": -1},
         {"seed": 0.5},
         {"seed": None},

@@ -38,6 +38,7 @@ CONFIG = {
     },
     "policy": {"config": {"dim": 2}, "sha256": "b" * 64, "training": OF_POLICY},
 }  # fmt: skip
+NAMES = {"dial": "m-dragan", "closed-loop": "m", "execution": "m"}
 CHOSEN = {"guidance": 5.0, "guidance_decay": 0.5, "guidance_share": 1.0}
 BASELINE = {
     "format": 3,
@@ -122,7 +123,7 @@ class TestModulator:
     @pytest.mark.parametrize("kind", ["dial", "closed-loop", "execution"])
     def test_a_missing_result(self, kind, results):
         del results[kind]
-        with pytest.raises(InvalidInputError, match=f"there is no {kind}-m.json"):
+        with pytest.raises(InvalidInputError, match=f"there is no {kind}-{NAMES[kind]}.json"):
             render_card("m", CONFIG, results)
 
     @pytest.mark.parametrize(
@@ -132,12 +133,13 @@ class TestModulator:
     )  # fmt: skip
     @pytest.mark.parametrize("other", ["c" * 64, None])
     def test_a_result_of_other_weights(self, kind, stage, other, results):
-        results[kind]["m"]["model"] = {**documents.MODEL, stage: other}
-        with pytest.raises(InvalidInputError, match=f"{kind}-m.json is a result of other weights"):
+        results[kind][NAMES[kind]]["model"] = {**documents.MODEL, stage: other}
+        problem = f"{kind}-{NAMES[kind]}.json is a result of other weights"
+        with pytest.raises(InvalidInputError, match=problem):
             render_card("m", CONFIG, results)
 
     def test_another_stage_2_does_not_touch_the_dial_of_paths(self, results):
-        results["dial"]["m"]["model"] = {**documents.MODEL, "policy": "c" * 64}
+        results["dial"]["m-dragan"]["model"] = {**documents.MODEL, "policy": "c" * 64}
         render_card("m", CONFIG, results)
 
     @pytest.mark.parametrize("stage", ["path", "policy"])

@@ -132,8 +132,9 @@ def demonstrate(
     names = [f"demonstrations-{i:05d}.parquet" for i in range(-(-scenes // SHARD))]
 
     def part(number: int) -> _Part:
-        rows = slice(number * SHARD, min((number + 1) * SHARD, scenes))
-        return rows.start, data.scenes[rows], data.waypoints[rows], data.labels[rows]
+        first, views = number * SHARD, source.views
+        rows = slice(first * views, min(first + SHARD, scenes) * views, views)
+        return first, data.scenes[rows], data.waypoints[rows], data.labels[rows]
 
     make_shards(
         folder, DEMONSTRATIONS, content, names, partial(_shard, source, config, content),
@@ -207,7 +208,7 @@ def _roll(
         lengths += ~env.done
         sent = safe_actions(
             feedback_action(tracker, positions), positions, positions - previous,
-            env.workspace, env.max_displacement, env.lag_range[1],
+            env.workspace, env.max_displacement, env.lag_range[1], env.barriers,
         )  # fmt: skip
         observation, _, success, _, _ = env.step(sent)
         previous, positions = positions, observation["position"]

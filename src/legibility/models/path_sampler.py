@@ -134,7 +134,7 @@ class PathSampler:
                 archive = scene_archive(scene, target, observer)
                 wanted, shortest = archive.score_of(tasks.levels[row]), archive.shortest_length
             paths[row] = project(paths[row], scene, target, observer, wanted, shortest)[0]
-        touching = np.flatnonzero(tasks.margin(paths) < 0)
+        touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
         for i in touching:
             one = tasks.of(np.array([i]))
