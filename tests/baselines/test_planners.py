@@ -74,7 +74,8 @@ def test_search_keeps_clear_of_obstacles():
     scene = lg.Scene(empty.start, empty.goals, obstacles=[lg.Ball(middle, 0.05)], clearance=0.02)
     for level in (-1, 1):
         path = search(scene, 0, level, OBSERVER, 1000, 0)
-        assert path.clearance > 0.01  # of a curve through eight points of a free one
+        gaps = scene.obstacles[0].signed_distance(path.trajectory(100))
+        assert gaps.min() > 0.01  # of a curve through eight points of a free one
 
 
 def test_more_time_is_more_candidates(monkeypatch):
@@ -86,5 +87,5 @@ def test_more_time_is_more_candidates(monkeypatch):
 
     monkeypatch.setattr("legibility.baselines.planners.search", draw)
     monkeypatch.setattr("legibility.baselines.planners.time.perf_counter", lambda: clock[0])
-    found = [candidates_within(time, scene_of(1), 0, OBSERVER) for time in (1e-6, 1.0, 1e3)]
-    assert found == [64, 724, 65_536]
+    found = [candidates_within(time, scene_of(1), 0, OBSERVER) for time in (1e-6, 1.0, 40.0)]
+    assert found == [64, 724, 32_768]
