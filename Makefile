@@ -12,7 +12,7 @@ PYTEST_ARGS ?= -n auto
 # Of `make weights`: models, their data and the lengths of their training.
 MODELS ?= block-reach-2d panda-block-reach
 RUNS ?= runs
-SCENES ?= 12800
+SCENES ?= 4096
 DEMONSTRATED ?= 3200
 STEPS ?= 12000
 POLICY_STEPS ?= 8000
@@ -35,9 +35,11 @@ ifdef ARM
 	$(LEGIBILITY) execute examples/panda.yaml --target 0 --legibility -1:1:5 \
 		--spectrum out/arm.png --video out/arm.gif --json out/arm.json
 else
-	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 \
+	$(LEGIBILITY) plan examples/paper.yaml --target 0 --legibility -1:1:9 --observer paper \
 		--figure out/plan.png --json out/plan.json
-	$(LEGIBILITY) execute examples/paper.yaml --target 0 --legibility -1:1:9 \
+	$(LEGIBILITY) plan examples/obstacle.yaml --target 0 --legibility -1:1:9 --observer dragan \
+		--figure out/obstacle.png --json out/obstacle.json
+	$(LEGIBILITY) execute examples/paper.yaml --target 0 --legibility -1:1:9 --observer paper \
 		--figure out/demo.png --video out/demo.gif --json out/demo.json
 endif
 
@@ -56,19 +58,24 @@ format: $(STAMP) ## apply ruff's fixes and format
 
 weights: $(MODELS:%=weights-%) ## make all shipped weights from nothing; interrupted, it resumes
 
-# Data; the teacher (stage 1), stage 2 and the student, which is shipped; then the baselines.
+# Data of stage 1, and demonstrations in the robot's own workspace; the teacher (stage 1), stage 2
+# and the student, which is shipped; then the baselines.
 weights-%: ROBOT = $(if $(findstring panda,$*),panda,2d)
+weights-%: DATA = data --dim $(if $(findstring panda,$*),3,2) --seed 0 --workers $(WORKERS)
 weights-%: FROM = --data $(RUNS)/$*/data --seed 0
-weights-%: AND = $(FROM) --validation $(RUNS)/$*/path/validation
+weights-%: SHOWN = --data $(RUNS)/$*/shown --seed 0
+weights-%: AND = $(SHOWN) --validation $(RUNS)/$*/policy/validation
 weights-%: SHIPPED = src/legibility/weights
 weights-%: $(STAMP)
-	$(LEGIBILITY) data --dim $(if $(findstring panda,$*),3,2) --scenes $(SCENES) --seed 0 \
-		--workers $(WORKERS) --demonstrations 4 --demonstrated $(DEMONSTRATED) --out $(RUNS)/$*/data
+	$(LEGIBILITY) $(DATA) --scenes $(SCENES) --out $(RUNS)/$*/data
+	$(LEGIBILITY) $(DATA) --scenes $(DEMONSTRATED) --regime dragan --views 1 --demonstrations 4 \
+		--out $(RUNS)/$*/shown
 	$(LEGIBILITY) train path $(FROM) --steps $(STEPS) --workers $(WORKERS) \
 		--out $(RUNS)/$*/path --weights $(RUNS)/$*/teacher
-	$(LEGIBILITY) train policy $(AND) --steps $(POLICY_STEPS) \
+	$(LEGIBILITY) train policy $(SHOWN) --steps $(POLICY_STEPS) --workers $(WORKERS) \
 		--out $(RUNS)/$*/policy --weights $(RUNS)/$*/teacher
-	$(LEGIBILITY) train distill --teacher $(RUNS)/$*/teacher $(AND) \
+	$(LEGIBILITY) train distill --teacher $(RUNS)/$*/teacher $(FROM) \
+		--validation $(RUNS)/$*/path/validation \
 		--out $(RUNS)/$*/student --weights $(SHIPPED)/$*
 	$(LEGIBILITY) train diffusion-policy $(AND) --steps $(POLICY_STEPS) \
 		--out $(RUNS)/$*/diffusion-policy --weights $(SHIPPED)/diffusion-policy-$(ROBOT)

@@ -2,27 +2,61 @@
 
 from legibility.evaluation.comparison import METRICS as MOTION_METRICS
 from legibility.evaluation.comparison import TESTED
+from legibility.evaluation.configuration import MODES
 from legibility.evaluation.contest import METHODS, OURS
-from legibility.evaluation.dial import METRICS
+from legibility.evaluation.dial import LIMITS, METRICS
 from legibility.evaluation.execution import ROWS
+from legibility.evaluation.eyes import EYES
 
 MODEL = {"name": "m", "path": "a" * 64, "policy": "b" * 64}
-OF_PATHS, OF_MOTIONS = {"error_candidates", "drawn_inside"}, {"success", "deviation"}
+OF_MOTIONS = {"success", "deviation"}
 
 
 def summary(mean):
-    return {"mean": mean, "interval": [mean - 0.01, mean + 0.01], "min": mean - 0.1, "max": mean}
+    return {"mean": mean, "interval": [mean - 0.01, mean + 0.01], "median": mean + 0.001,
+            "min": mean - 0.1, "max": mean}  # fmt: skip
 
 
-def dial(closed_loop=False):
-    names = [n for n in METRICS if n not in (OF_PATHS if closed_loop else OF_MOTIONS)]
+def dial(closed_loop=False, regime="dragan"):
+    def metrics(mode):
+        step = 0.1 * MODES.index(mode)
+        return {
+            name: summary(0.5 + step + i / 100)
+            for i, name in enumerate(METRICS)
+            if (closed_loop or name not in OF_MOTIONS)
+            and (name != "error_candidates" or (mode == "quick" and not closed_loop))
+        }
+
+    modes = ("quick",) if closed_loop else MODES
+    limits = {name: summary(0.25 + i / 100) for i, name in enumerate(LIMITS)}
+    overall = {"scenes": 3, "limits": limits, **{mode: metrics(mode) for mode in modes}}
     return {
-        "command": "legibility evaluate dial --scenes 3", "seed": 7, "model": MODEL,
-        "config": {"scenes": 3, "goals": [2, 6], "levels": 21, "samples": 8, "candidates": 16,
-                   "closed_loop": closed_loop},
+        "command": f"legibility evaluate dial --regime {regime} --scenes 3", "seed": 7,
+        "model": MODEL,
+        "config": {"scenes": 3, "regime": regime, "goals": [2, 6], "levels": 21, "samples": 8,
+                   "candidates": 16, "closed_loop": closed_loop},
         "result": {**({"env": "BlockReach2D"} if closed_loop else {}),
-                   "overall": {name: summary(0.5 + i / 100) for i, name in enumerate(names)},
+                   "overall": overall, "sound": overall, "degenerate": None,
                    "levels": [-1, 0, 1], "scenes": [{}, {}, {}]},
+    }  # fmt: skip
+
+
+def eyes():
+    rows = {
+        name: {
+            "seen_by": {
+                other: {"score": summary(0.5 + (i == j) / 2), "posterior": summary(0.25)}
+                for j, other in enumerate(EYES)
+            },
+            "dragan_rises": summary(0.875),
+        }
+        for i, name in enumerate(EYES)
+    }
+    return {
+        "command": "legibility evaluate eyes --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 3, "regime": "dragan", "goals": [2, 6], "levels": 11, "samples": 4,
+                   "exact": False},
+        "result": {"rows": rows, "scenes": [{}, {}, {}]},
     }  # fmt: skip
 
 
@@ -37,13 +71,14 @@ def execution():
             "counts": {}, "farthest_outside": -0.001,
             "spearman": summary(0.9), "error": summary(0.02), "deviation": summary(0.0012),
             "replanned": 0.25, "states_outside": 1, "actions_not_finite": 0,
-            "actions_over_limit": 2, "wall_contacts": 3,
+            "actions_over_limit": 2, "wall_contacts": 3, "contacts": 1234 * number,
         }  # fmt: skip
     for key in ("spearman", "error", "within_5_cm"):
         del rows["policy, goal moved"][key]
     return {
         "command": "legibility evaluate execution --seed 7", "seed": 7, "model": MODEL,
-        "config": {"rollouts": 5000, "scenes": 200, "goals": [2, 6], "disturbance": None},
+        "config": {"rollouts": 5000, "scenes": 200, "regime": "dragan", "goals": [2, 6],
+                   "disturbance": None},
         "result": {"rows": rows, "env": "BlockReach2D", "disturbance": 0.1},
     }  # fmt: skip
 
@@ -158,6 +193,7 @@ def bench(model="m"):
                 _row("plan_ms", 3, **torch, batch=1, goals=2),
                 _row("plan_ms", 1, **onnx, batch=1, goals=4),
                 _row("plan_one_core_ms", 0.5, **onnx),
+                _row("plan_obstacles_ms", 0.75, **onnx, mode="exact"),
                 _row("archive_ms", 64.04, dim=2),
                 _row("training_steps_per_second", 16, dim=2, precision="bf16"),
                 _row("import_ms", 100),

@@ -1,4 +1,4 @@
-"""Whatever the weights: paths run from the start to the goal inside the workspace."""
+"""Whatever the weights: paths run from the start to the goal and touch nothing."""
 
 import dataclasses
 import json
@@ -23,13 +23,18 @@ from legibility.models.path_policy import PathPolicy
 from legibility.models.pretrained import pretrained_names
 from legibility.models.provenance import TrainingRecord
 from legibility.modulator import Modulator
-from legibility.motion.path import Path, scene_archive
+from legibility.motion import archive
+from legibility.motion.path import Path
 
 torch.set_num_threads(1)
 
 SCENES = {
     2: lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]),
     3: lg.Scene([-0.2, -0.2, 0.3], [[0, 0.1, 0.02], [0.05, -0.1, 0.06], [-0.1, 0.2, 0.02]]),
+}
+BLOCKED = {
+    2: lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], None, [lg.Ball([0.4, 0.55], 0.1)], 0.03),
+    3: lg.Scene(SCENES[3].start, SCENES[3].goals, None, [lg.Ball([-0.1, -0.05, 0.16], 0.05)]),
 }
 LEVELS = [-1.0, -0.3, 0.0, 0.5, 1.0]
 RANK = lg.Observer(label="rank")
@@ -82,7 +87,7 @@ class TestPlan:
         assert path.waypoints.shape == (10, scene.dim)
         assert path.trajectory().shape == (SCORE_POINTS, scene.dim)
         assert path.trajectory(7).shape == (7, scene.dim)
-        for value in (path.legibility, path.score, path.clipped, path.achieved):
+        for value in (path.legibility, path.score, path.replaced, path.achieved):
             assert np.shape(value) == ()
         assert path.legibility == level
 
@@ -93,7 +98,7 @@ class TestPlan:
         size = len(levels)
         assert path.waypoints.shape == (size, 10, scene.dim)
         assert path.trajectory(9).shape == (size, 9, scene.dim)
-        for value in (path.legibility, path.score, path.clipped, path.achieved):
+        for value in (path.legibility, path.score, path.replaced, path.achieved):
             assert np.shape(value) == (size,)
         np.testing.assert_array_equal(path.legibility, levels)
 
@@ -109,42 +114,64 @@ class TestPlan:
     def test_everything_stays_in_the_workspace(self, modulator, scene, num_points):
         for seed in range(5):
             path = modulator.plan(scene, 0, LEVELS, seed=seed)
-            assert scene.contains(path.waypoints, tolerance=0).all()
-            assert scene.contains(path.trajectory(num_points), tolerance=0).all()
+            assert scene.contains(path.waypoints).all()
+            assert scene.contains(path.trajectory(num_points)).all()
 
     def test_score_and_achieved_are_those_of_the_trajectory(self, modulator, scene):
         path = modulator.plan(scene, 1, LEVELS)
-        field = lg.InformationPotentialField(scene.goals, {2: 0.15, 3: 0.08}[scene.dim])
-        score = lg.metrics.legibility_score(path.trajectory(), field, 1)
+        score = lg.metrics.legibility_score(path.trajectory(), lg.Observer().field(scene), 1)
         np.testing.assert_array_equal(path.score, score)
         archive = lg.build_archive(scene, 1)
         np.testing.assert_array_equal(path.achieved, archive.label_of(score))
         assert (np.abs(path.achieved) <= 1).all()
 
-    def test_the_observer_is_the_models(self):
-        observer = lg.Observer(0.3, 1.0, "rank")
-        model = make(observer=observer)
+    def test_the_observer_is_the_models_or_another_of_its_scale(self):
+        own = lg.Observer(kind="gaussian", sigma=0.3, alpha=1.0, label="rank")
+        model = make(observer=own)
         path = model.plan(SCENES[2], 0, LEVELS)
-        assert path.observer == model.archive(SCENES[2]).observer == observer
-        archive = lg.build_archive(SCENES[2], 0, observer=observer)
+        assert path.observer == model.archive(SCENES[2]).observer == own
+        archive = lg.build_archive(SCENES[2], 0, observer=own)
         np.testing.assert_array_equal(path.achieved, archive.label_of(path.score))
+        other = dataclasses.replace(own, prior=(1.0, 3.0))
+        path = model.plan(SCENES[2], 0, LEVELS, observer=other)
+        assert path.observer == other
+        archive = lg.build_archive(SCENES[2], 0, observer=other)
+        np.testing.assert_array_equal(path.achieved, archive.label_of(path.score))
+        for wrong in (dataclasses.replace(own, alpha=2.0), lg.Observer.paper(2), "dragan"):
+            with pytest.raises(InvalidInputError, match="observer"):
+                model.plan(SCENES[2], 0, observer=wrong)
 
-    def test_clipped_says_whether_the_network_left_the_workspace(self, monkeypatch):
+    def test_the_observer_changes_the_path(self, flat):
+        drawn = [
+            flat.plan(SCENES[2], 0, 0.5, observer=observer, refine=False).waypoints
+            for observer in (None, lg.Observer(), lg.Observer(beta=5.0), lg.Observer.paper(2))
+        ]
+        np.testing.assert_array_equal(drawn[0], drawn[1])
+        assert np.abs(drawn[1] - drawn[2]).max() > 1e-6
+        assert np.abs(drawn[1] - drawn[3]).max() > 1e-6
+
+    def test_what_leaves_the_workspace_is_brought_back(self, monkeypatch):
         model, scene = make(), SCENES[2]
         wild = np.tile(np.linspace(scene.start, scene.goals[0], 10), (2, 1, 1))
         wild[1, 4] = [0.4, 3.0]
-        monkeypatch.setattr(model.sampler, "draw", lambda *_: wild)
+        again = np.tile(wild[1], (8, 1, 1))
+        monkeypatch.setattr(
+            model.sampler, "draw", lambda tasks, *_: (wild if len(tasks) == 2 else again).copy()
+        )
         path = model.plan(scene, 0, [0.0, 0.0])
-        assert path.clipped.tolist() == [False, True]
+        assert path.feasible.all()
         np.testing.assert_array_equal(path.waypoints[0], wild[0])
-        assert path.waypoints[1, 4].tolist() == [0.4, 1.1]
+        bare = model.plan(scene, 0, [0.0, 0.0], refine=False)
+        np.testing.assert_array_equal(bare.waypoints, wild)
+        assert bare.feasible.tolist() == [True, False]
+        assert bare.clearance[1] < -1
 
     def test_scene_in_a_corner(self):
         """Start and goal on the walls, and nothing to spare."""
         low, high = np.array([[0.1, 0.1], [0.3, 0.7]])
         scene = lg.Scene(low, [high, [0.1, 0.7]], [low, high])
         path = make().plan(scene, 0, LEVELS)
-        assert scene.contains(path.trajectory(), tolerance=0).all()
+        assert scene.contains(path.trajectory()).all()
         np.testing.assert_array_equal(path.waypoints[:, -1] - high, 0)
 
 
@@ -176,7 +203,7 @@ class TestReproducible:
             batch = modulator.plan(scene, 0, [0.5], **options)
             np.testing.assert_array_equal(one.waypoints, batch.waypoints[0])
             assert one.score == batch.score[0]
-            assert one.clipped == batch.clipped[0]
+            assert one.replaced == batch.replaced[0]
 
     def test_any_seed(self, flat):
         for seed in (0, np.int64(5), 2**31, 2**63 - 1):
@@ -199,15 +226,61 @@ class TestReproducible:
             flat.plan(scene, 1, LEVELS).waypoints, flat.plan(turned, 0, LEVELS).waypoints, atol=1e-6
         )
 
-    def test_moved_and_scaled_scene_has_the_moved_and_scaled_path(self):
-        scene = SCENES[2]
-        large = lg.Scene(scene.start * 3 + 1, scene.goals * 3 + 1, scene.workspace * 3 + 1)
-        one, other = make(), make(observer=lg.Observer(sigma=0.45))
-        np.testing.assert_allclose(
-            other.plan(large, 0, LEVELS).waypoints,
-            one.plan(scene, 0, LEVELS).waypoints * 3 + 1,
-            atol=1e-4,
+    @pytest.mark.parametrize("exact", [False, True])
+    def test_moved_and_scaled_scene_has_the_moved_and_scaled_path(self, exact):
+        """From metres to centimetres, and kilometres away."""
+        model, scene = make(), BLOCKED[2]
+        (ball,) = scene.obstacles
+        large = lg.Scene(
+            scene.start * 100 + 1e5, scene.goals * 100 + 1e5, scene.workspace * 100 + 1e5,
+            [lg.Ball(ball.center * 100 + 1e5, ball.radius * 100)], scene.goal_radius * 100,
+        )  # fmt: skip
+        one, other = (
+            model.plan(x, 0, LEVELS, exact=exact, observer=o).waypoints
+            for x, o in (
+                (scene, lg.Observer(kind="gaussian", sigma=0.1)),
+                (large, lg.Observer(kind="gaussian", sigma=10.0)),
+            )
         )
+        np.testing.assert_allclose((other - 1e5) / 100, one, atol=2e-3)
+
+
+class TestObstacles:
+    @pytest.mark.parametrize("options", [{}, {"exact": True}, {"num_candidates": 3}], ids=str)
+    def test_plans_touch_nothing(self, modulator, options):
+        scene = BLOCKED[modulator.config.dim]
+        path = modulator.plan(scene, 0, LEVELS, **options)
+        assert path.feasible.all()
+        assert scene.feasible(path.trajectory(400), 0).all()
+        assert (path.clearance >= -1e-9).all()
+        many = modulator.plan_many([scene] * 2, 0, [0.5, 1.0])
+        assert all(p.feasible for p in many)
+
+    def test_the_clearance_is_kept(self, flat):
+        base = BLOCKED[2]
+        scene = lg.Scene(base.start, base.goals, base.workspace, base.obstacles, clearance=0.04)
+        path = flat.plan(scene, 0, LEVELS)
+        ball = np.array([o.signed_distance(path.trajectory(400)) for o in scene.obstacles])
+        assert ball.min() >= 0.04 - 1e-6
+
+    def test_exact_plans_meet_the_level(self, modulator):
+        path = modulator.plan(BLOCKED[modulator.config.dim], 0, LEVELS, exact=True)
+        assert np.abs(path.achieved - LEVELS).mean() < 0.1
+
+    def test_no_way_is_refused(self, flat):
+        wall = lg.Box([0.5, 0.5], [0.1, 1.2])
+        with pytest.raises(InvalidSceneError, match="no curve leads"):
+            flat.plan(lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[wall]), 0)
+
+    def test_an_obstacle_over_the_target_is_refused(self, flat):
+        scene = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[lg.Ball([1, 0.3], 0.1)])
+        flat.plan(scene, 0, refine=False)
+        with pytest.raises(InvalidSceneError, match=r"obstacles\[0\] lies over the target"):
+            flat.plan(scene, 1)
+
+    def test_the_bare_network_is_not_exact(self, flat):
+        with pytest.raises(InvalidInputError, match="exact"):
+            flat.plan(SCENES[2], 0, exact=True, refine=False)
 
 
 class TestCandidates:
@@ -225,7 +298,7 @@ class TestCandidates:
         nearest[ends] = (np.sign(LEVELS)[:, None] * scores).argmax(1)[ends]
         rows = np.arange(len(LEVELS)) * num + nearest
         np.testing.assert_array_equal(best.waypoints, single.waypoints[rows])
-        np.testing.assert_array_equal(best.clipped, single.clipped[rows])
+        np.testing.assert_array_equal(best.replaced, single.replaced[rows])
 
     def test_at_the_ends_no_archive_is_needed(self, scene, monkeypatch):
         modulator = make(scene.dim)
@@ -258,16 +331,18 @@ class TestCandidates:
             built.append((scene, target))
             return lg.build_archive(scene, target, **options, max_candidates=4096)
 
-        monkeypatch.setattr("legibility.motion.path.build_archive", build)
-        scene_archive.cache_clear()
+        monkeypatch.setattr("legibility.motion.archive.build_archive", build)
+        for cache in (archive.scene_archive, archive._geometry):
+            cache.cache_clear()
         model = make()
-        model.plan(SCENES[2], 0, LEVELS)
+        model.plan(SCENES[2], 0, LEVELS, refine=False)
         assert built == []
-        paths = [model.plan(SCENES[2], 0, LEVELS, num_candidates=2) for _ in range(2)]
+        options = {"num_candidates": 2, "refine": False}
+        paths = [model.plan(SCENES[2], 0, LEVELS, **options) for _ in range(2)]
         assert len(built) == 1
         assert paths[0].archive is paths[1].archive is model.archive(SCENES[2], 0)
         assert np.isfinite(paths[0].achieved).all()
-        model.plan(SCENES[2], 1, LEVELS, num_candidates=2)
+        model.plan(SCENES[2], 1, LEVELS, **options)
         assert [target for _, target in built] == [0, 1]
 
 
@@ -278,7 +353,7 @@ class TestOptions:
         np.testing.assert_array_equal(own.waypoints, plain)
         guided = modulator.plan(scene, 0, LEVELS, guidance=1.5)
         assert np.abs(guided.waypoints - plain).max() > 1e-3
-        assert scene.contains(guided.trajectory(), tolerance=0).all()
+        assert scene.contains(guided.trajectory()).all()
 
     @pytest.mark.parametrize("guidance", [-1, 0.3, 10, 1e3])
     def test_any_guidance_stays_inside(self, flat, guidance):
@@ -348,22 +423,6 @@ class TestOptions:
         other = SCENES[5 - modulator.config.dim]
         with pytest.raises(InvalidSceneError, match=r"the model tiny plans in .D, the scene is .D"):
             modulator.plan(other)
-
-    def test_scene_of_another_unit(self, modulator, scene):
-        def scaled(factor):
-            return lg.Scene(scene.start * factor, scene.goals * factor, scene.workspace * factor)
-
-        with pytest.raises(InvalidSceneError, match=r"the workspace .* m across; the model tiny"):
-            modulator.plan(scaled(100))
-        with pytest.raises(InvalidSceneError, match=r"workspaces of about .* m: give metres"):
-            modulator.plan_many([scene, scaled(20)], 0, 0.0)
-        with pytest.raises(InvalidSceneError, match=r"the workspace is .* m across"):
-            modulator.plan(scaled(0.01))
-        for factor in (0.3, 3):
-            modulator.plan(scaled(factor))
-        corners = scene.workspace + np.array([[-50], [50]])
-        with pytest.raises(InvalidSceneError, match=r"the workspace is .* m across"):
-            modulator.plan(lg.Scene(scene.start, scene.goals, corners))
 
 
 class TestPretrained:
@@ -437,7 +496,7 @@ def test_whatever_the_weights_paths_are_finite_and_inside(seed, scale, dim, leve
         assert scale > 1  # its numbers overflow
         return
     assert np.isfinite(path.waypoints).all()
-    assert scene.contains(path.trajectory(100), tolerance=0).all()
+    assert scene.contains(path.trajectory(100)).all()
     np.testing.assert_array_equal(path.waypoints[[0, -1]], [scene.start, scene.goals[0]])
     assert np.isfinite(path.score)
     assert path_curve(path.waypoints, 10).shape == (10, dim)
@@ -468,7 +527,7 @@ class TestPlanMany:
             assert path.legibility == level
             ends = [scene.start, scene.goals[target]]
             np.testing.assert_array_equal(path.waypoints[[0, -1]], ends)
-            assert scene.contains(path.trajectory(), tolerance=0).all()
+            assert scene.contains(path.trajectory()).all()
             np.testing.assert_array_equal(path.waypoints, same.waypoints)
 
     @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace as replaced
 from pathlib import Path as FilePath
 from typing import Any
@@ -19,7 +19,6 @@ from .checks import (
     positive,
     seed_or_entropy,
 )
-from .curves import NUM_WAYPOINTS, path_curve
 from .drivers import Driver, Policy
 from .envs.fleet import Fleet, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
@@ -29,16 +28,16 @@ from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
 from .models.path_sampler import PathSampler, Sampling, Tasks
 from .models.pretrained import load_stages, pretrained_folder, save_stage
-from .models.projection import project
 from .models.provenance import TrainingRecord
 from .motion.archive import Archive, scene_archive
-from .motion.bezier import bezier_trajectories
 from .motion.path import Path, straight_waypoints
 from .rollout import Rollout, follow
 from .scene import MIN_SEPARATION, Scene
 
 BACKENDS = ("torch", "onnx")
 """What may run the networks."""
+
+_ARM_DRAWS, _ARM_POINTS = 8, 64  # paths drawn to keep an arm off obstacles, points of a check
 
 
 class Modulator:
@@ -174,7 +173,7 @@ class Modulator:
         sampling = Sampling(guidance, steps).checked(self.config)
         tasks = self._tasks([scene], [target], [observer], np.repeat(np.atleast_1d(levels), number))
         target, observer = tasks.targets[0], tasks.observers[0]
-        paths, replaced = self._drawn(tasks, seed, sampling, exact, refine)
+        paths, replaced = self.sampler.plan(tasks, seed, sampling, exact=exact, refine=refine)
         if number > 1:
             scores = Path.through(paths, scene, target, tasks.levels, observer).score
             wanted = tasks.levels[::number]
@@ -231,7 +230,7 @@ class Modulator:
                 self.plan(scene, target, level, seed=scene_seed, observer=watching, **options)
                 for scene, target, watching, level, scene_seed in zip(*tasks, seeds, strict=True)
             ]
-        paths, replaced = self._drawn(tasks, seed, sampling, exact, refine)
+        paths, replaced = self.sampler.plan(tasks, seed, sampling, exact=exact, refine=refine)
         return [
             Path(scene, target, level, waypoints, watching, stands_in)
             for scene, target, watching, level, waypoints, stands_in in zip(
@@ -251,29 +250,6 @@ class Modulator:
             self._check_scene(scene)
         checked = [s.check_target(t) for s, t in zip(scenes, targets, strict=True)]
         return Tasks(scenes, checked, [self._observer(o) for o in observers], levels)
-
-    def _drawn(
-        self, tasks: Tasks, seed: int, sampling: Sampling, exact: bool, refine: bool
-    ) -> tuple[Array, np.ndarray]:
-        """Paths `(B, K + 2, D)` [m], and whether the archive's curve stands in for each, `(B,)`."""
-        if not refine:
-            if exact:
-                raise InvalidInputError("exact plans are refined: leave refine as it is")
-            paths = self.sampler.draw(tasks, seed, sampling)
-            return paths, np.zeros(len(paths), dtype=bool)
-        paths = self.sampler.draw_with_retries(tasks, seed, sampling)
-        replaced = np.zeros(len(paths), dtype=bool)
-        for row, scene, target, observer in tasks.rows():
-            levels = tasks.levels[row]
-            wanted = None
-            if exact:
-                wanted = scene_archive(scene, target, observer).score_of(levels)
-            paths[row], feasible = project(paths[row], scene, target, observer, wanted)
-            for i in np.flatnonzero(~feasible):
-                archive = scene_archive(scene, target, observer)
-                paths[row][i] = _nearest_feasible(archive, levels[i])
-                replaced[row][i] = True
-        return paths, replaced
 
     def _observer(self, observer: Observer | None) -> Observer:
         """The observer, or the model's own; the scale of ℓ must be that of the model."""
@@ -388,7 +364,7 @@ class Modulator:
         if targets is not None:
             fleet.set_targets(for_each("targets", targets, fleet.size))
 
-        def plan(rows: list[int], positions: Array) -> list[Path]:
+        def plan(rows: list[int], positions: Array, seed: int = seed) -> list[Path]:
             scenes = fleet.scenes
             return self.plan_many(
                 [scenes[row].starting_at(x) for row, x in zip(rows, positions, strict=True)],
@@ -400,7 +376,7 @@ class Modulator:
         def plan_rest(rows: list[int], positions: Array) -> list[Path]:
             return [_straight_if_near(path) for path in plan(rows, positions)]
 
-        chosen = plan(list(range(fleet.size)), fleet.positions) if paths is None else list(paths)
+        chosen = list(paths) if paths is not None else _off_the_arm(fleet, plan, seed)
         return follow(fleet, chosen, driver, plan_rest if replan else None, tolerance)
 
     def _nearest(
@@ -443,16 +419,30 @@ def _straight_if_near(path: Path) -> Path:
     start, goal = path.waypoints[0], path.waypoints[-1]
     if np.linalg.norm(goal - start) >= 2 * MIN_SEPARATION * path.scene.diagonal:
         return path
-    return replaced(path, waypoints=straight_waypoints(start, goal))
+    straight = replaced(path, waypoints=straight_waypoints(start, goal))
+    return straight if straight.feasible else path
 
 
-def _nearest_feasible(archive: Archive, level: float) -> Array:
-    """The path `(K + 2, D)` [m] of the elite whose label is nearest, and which is feasible."""
-    order = np.argsort(np.abs(archive.labels - level), kind="stable")
-    for few in np.array_split(order, max(1, len(order) // 64)):
-        paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
-        curves = path_curve(paths, 192)
-        good = np.flatnonzero(archive.scene.feasible(curves, archive.target))
-        if len(good):
-            return paths[good[0]]
-    return bezier_trajectories(archive.anchor[None], NUM_WAYPOINTS + 2)[0]
+def _off_the_arm(fleet: Fleet, plan: Callable[..., list[Path]], seed: int) -> list[Path]:
+    """A path for each robot on which no link of its arm touches an obstacle.
+
+    Raises:
+        InvalidSceneError: in several draws there was none.
+    """
+    rows = list(range(fleet.size))
+    paths = plan(rows, fleet.positions)
+    if not any(scene.obstacles for scene in fleet.scenes):
+        return paths
+    for draw in range(1, _ARM_DRAWS + 1):
+        curves = np.stack([paths[row].trajectory(_ARM_POINTS) for row in rows])
+        rows = [row for row, n in zip(rows, fleet.arm_contacts(curves, rows), strict=True) if n]
+        if not rows:
+            return paths
+        if draw < _ARM_DRAWS:
+            again = plan(rows, fleet.positions[rows], seed=seed ^ (draw << 32))
+            for row, path in zip(rows, again, strict=True):
+                paths[row] = path
+    raise InvalidSceneError(
+        f"the arm would touch an obstacle on all of {_ARM_DRAWS} paths drawn; "
+        "give the scene a larger clearance, the gripper is several centimetres wide"
+    )

@@ -313,6 +313,8 @@ class Scene:
         """Read a scene from YAML or JSON; anything else raises `InvalidSceneError`."""
         _check_suffix(path)
         content = read_document(path, "scene file", InvalidSceneError)
+        if isinstance(content, dict):
+            content.pop("observer", None)  # read by `Observer.load`
         try:
             return cls.from_dict(content)
         except InvalidSceneError as cause:

@@ -12,6 +12,12 @@ TINY = (
 )
 """Training of a model that learns nothing, in no time."""
 
+DATA = (
+    "--scenes 4 --goals 2..3 --per-scene 17 --cells 8 --candidates 4096 --regime observers"
+    " --views 2"
+)
+"""Settings of a dataset that is made in no time."""
+
 SCENE = "start: [0.0, 0.5]\ngoals: [[0.8, 0.6], [1.0, 0.3]]\n"
 SCENE_3D = "start: [-0.2, -0.2, 0.3]\ngoals: [[0.0, 0.1, 0.02], [0.0, -0.1, 0.02]]\n"
 
@@ -32,6 +38,11 @@ def tiny() -> str:
 
 
 @pytest.fixture(scope="session")
+def data_flags() -> str:
+    return DATA
+
+
+@pytest.fixture(scope="session")
 def one_thread() -> Iterator[None]:
     """Networks this small run slower on several threads, most of all on a busy machine."""
     import torch
@@ -45,7 +56,15 @@ def one_thread() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cli") / "data"
-    assert call("data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --out", folder) == 0
+    assert call(f"data {DATA} --out", folder) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset with demonstrations."""
+    folder = tmp_path_factory.mktemp("cli") / "shown"
+    assert call(f"data {DATA} --views 1 --demonstrations 2 --out", folder) == 0
     return folder
 
 
@@ -66,12 +85,12 @@ def weights(run: Path) -> str:
 
 
 @pytest.fixture(scope="session")
-def executable(run: Path, dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+def executable(
+    run: Path, dataset: Path, shown: Path, tmp_path_factory: pytest.TempPathFactory
+) -> str:
     """A model with both stages as it is given to `--model`."""
     folder = tmp_path_factory.mktemp("cli")
-    shown, weights = folder / "shown", shutil.copytree(run / "weights", folder / "both")
-    words = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --demonstrations 2 --out"
-    assert call(words, shown) == 0
+    weights = shutil.copytree(run / "weights", folder / "both")
     words = (
         "train policy --steps 20 --batch 16 --warmup 1 --validate-every 20 --checkpoint-every 20"
         " --channels 8 16 --condition 16"

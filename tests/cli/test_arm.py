@@ -24,6 +24,20 @@ def test_plan(cli, tmp_path):
     assert (tmp_path / "p.png").stat().st_size > 10_000
 
 
+def test_plan_past_an_obstacle(cli, tmp_path):
+    wall = "obstacles: [{box: {center: [-0.1, -0.05, 0.1], size: [0.03, 0.1, 0.2], yaw: 0.3}}]"
+    scene = tmp_path / "wall.yaml"
+    scene.write_text(f"{SCENE.read_text()}{wall}\nclearance: 0.01\ngoal_radius: 0.04\n")
+    assert cli("plan --exact --json", tmp_path / "p.json", scene) == 0
+    content = json.loads((tmp_path / "p.json").read_text())
+    assert content["config"]["exact"] is True
+    assert content["result"]["observer"] == lg.Observer().to_dict()
+    for path in content["result"]["paths"]:
+        assert path["feasible"]
+        assert path["clearance"] > 0.009
+        assert path["achieved"] == pytest.approx(path["legibility"], abs=0.15)
+
+
 @pytest.fixture
 def sketched(monkeypatch):
     """Pictures are as without OpenGL, which takes half a second for one without a graphics card."""

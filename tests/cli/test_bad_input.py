@@ -1,5 +1,6 @@
 """Every bad input of the first issue: status 2, one line, no half-written file."""
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -20,6 +21,19 @@ SCENES = {
     "exponent": ("start: [0, 5e-1]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "write 0.5"),
     "yes": ("start: [yes, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\n", "numbers"),
     "twice": ("start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nstart: [0, 0]\n", "repeated"),
+    "obstacle over the start": (
+        "start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\n"
+        "obstacles: [{ball: {center: [0, 0.5], radius: 0.1}}]\n",
+        "obstacles[0] lies over the start",
+    ),
+    "no obstacle": (
+        "start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nobstacles: [{cone: 1}]\n",
+        "an obstacle must be a mapping with one key, ball, box or polygon",
+    ),
+    "no observer": (
+        "start: [0, 0.5]\ngoals: [[0.8, 0.6], [1, 0.3]]\nobserver: {detour: 0.5}\n",
+        "detour must",
+    ),
     "4D": ("start: [0, 0, 0, 0]\ngoals: [[1, 0, 0, 0], [0, 1, 0, 0]]\n", "2 or 3 numbers"),
 }
 
@@ -165,6 +179,24 @@ def test_weights(damage, here, weights, refused):
     refused("evaluate dial --scenes 1 --json j.json --model", model)
 
 
+@pytest.mark.parametrize("change", [
+    lambda content: content.update(format=2),
+    lambda content: content["path"]["config"].update(
+        observer={"sigma": 0.15, "alpha": 3.0, "label": "anchored"}
+    ),
+    lambda content: content["path"]["config"].pop("squash"),
+], ids=["format", "observer", "setting"])  # fmt: skip
+def test_weights_of_another_version(change, here, weights, refused):
+    file = Path(shutil.copytree(weights, "model")) / "config.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
+    for line in ("plan scene.yaml --model model", "evaluate dial --scenes 1 --model model"):
+        message = refused(line)
+        assert "the weights in model are of another version of legibility" in message
+        assert "train anew with `legibility data` and `legibility train`" in message
+
+
 @pytest.mark.parametrize(
     "flags",
     ["--json scene.yaml/j.json", "--json .", "--csv scene.yaml/c.csv", "--figure f.bmp",
@@ -207,6 +239,13 @@ def test_read_only_output(dataset, weights, refused):
         ("--out d --dim 4", "dim must be 2 or 3"),
         ("--out d --stream test", "stream must be"),
         ("--out d --label best", "label must be"),
+        ("--out d --detour 0.5", "detour must"),
+        ("--out d --alpha -1", "alpha must"),
+        ("--out d --regime any", "regime must be one of paper, dragan, observers, rooms"),
+        ("--out d --views 0", "views must be"),
+        ("--out d --cells 1", "cells must be"),
+        ("--out d --candidates 10", "candidates must be"),
+        ("--out d --noise 0.1", "settings of demonstrations need --demonstrations N"),
         ("--out d --seed -1", "seed must be"),
         ("--out scene.yaml", "is not a folder"),
     ],
@@ -215,8 +254,9 @@ def test_data(flags, message, refused):
     assert message in refused(f"data --json j.json {flags}")
 
 
-def test_data_of_another_configuration(dataset, refused):
-    assert "another configuration" in refused("data --scenes 5 --out", dataset)
+def test_data_of_another_configuration(dataset, data_flags, refused):
+    for changed in ("--scenes 5", "--views 1", "--detour 2"):
+        assert "another configuration" in refused(f"data {data_flags} {changed} --out", dataset)
 
 
 def test_data_that_was_changed(dataset, here, refused):
@@ -233,6 +273,8 @@ def test_data_that_was_changed(dataset, here, refused):
         ("--steps 0", "steps must be"),
         ("--learning-rate nan", "learning_rate must be"),
         ("--dropout 1", "dropout must"),
+        ("--contact-weight -1", "contact_weight must"),
+        ("--jerk-weight nan", "jerk_weight must"),
         ("--seed -1", "seed must be"),
         ("--validation nothing", "cannot read"),
         ("--out scene.yaml", "is not a folder"),

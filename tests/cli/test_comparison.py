@@ -9,12 +9,9 @@ from legibility.models.pretrained import load_stages
 
 
 @pytest.fixture(scope="module")
-def baselines(dataset, cli, tmp_path_factory, one_thread):
+def baselines(dataset, shown, cli, tmp_path_factory, one_thread):
     """Folders of tiny weights by the name of the verb that trains them."""
     folder = tmp_path_factory.mktemp("baselines")
-    shown = folder / "shown"
-    words = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --demonstrations 2 --out"
-    assert cli(words, shown) == 0
     small = (
         "--steps 20 --batch 16 --warmup 1 --validate-every 20 --checkpoint-every 20"
         " --channels 8 16 --condition 16 --sampling-steps 2"

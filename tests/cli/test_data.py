@@ -16,13 +16,16 @@ def test_describes(dataset, here, cli, capsys):
     assert content["seed"] == 0
     assert content["config"] == data.config.to_dict()
     result = content["result"]
-    assert (result["scenes"], result["trajectories"]) == (4, 4 * 17)
+    assert (result["scenes"], result["trajectories"]) == (4, 4 * 2 * 17)
+    assert result["with_obstacles"] == 0
+    assert sum(result["observers"].values()) == 4 * 2
     assert result["sha256"] == data.digest
     assert sum(result["goals"].values()) == 4
-    assert sum(result["labels"]["counts"]) == 4 * 17
+    assert sum(result["labels"]["counts"]) == 4 * 2 * 17
     assert result["coverage"]["mean"] == np.mean(data.summary["coverage"])
     assert "█" in text
-    assert "2..3" in text
+    for setting in ("2..3", "observers", "detour", "anchored"):
+        assert setting in text
     assert Path("a/info.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -33,11 +36,10 @@ def test_picture_lies_beside_the_data_by_default(dataset, cli, capsys):
 
 
 @pytest.mark.parametrize("where", ["", "--cluster local"])
-def test_same_bytes_from_the_same_command(where, dataset, here, cli):
+def test_same_bytes_from_the_same_command(where, dataset, data_flags, here, cli):
     if where:
         pytest.importorskip("distributed", reason="Dask is NOT TESTED: the extra is missing")
-    flags = f"--goals 2..3 --per-scene 17 --cells 16 --workers 2 {where}"
-    line = f"data --scenes 4 {flags} --json d.json --out"
+    line = f"data {data_flags} --workers 2 {where} --json d.json --out"
     assert cli(line, "again") == 0
     names = {file.name for file in dataset.iterdir()}
     assert names == {file.name for file in Path("again").iterdir()}
@@ -48,13 +50,21 @@ def test_same_bytes_from_the_same_command(where, dataset, here, cli):
 
 
 def test_three_dimensions(here, cli):
-    flags = "--dim 3 --goals 3 --label rank --seed 5 --stream validation --per-scene 9 --cells 6"
-    assert cli(f"data --scenes 1 {flags} --out d") == 0
-    assert cli("data --info d --figure d.svg") == 0
-    config = Dataset.load("d").config
-    assert (config.dim, config.observer.label, config.stream, config.goals) == (
-        3,
-        "rank",
-        "validation",
-        (3, 3),
+    flags = (
+        "--dim 3 --regime rooms --goals 3 --seed 5 --stream validation --views 1 --per-scene 9"
+        " --cells 6 --candidates 4096 --alpha 2 --detour 2 --label rank"
     )
+    assert cli(f"data --scenes 1 {flags} --out d --json d.json") == 0
+    assert cli("data --info d --figure d.svg") == 0
+    assert "<svg" in Path("d.svg").read_text()
+    data = Dataset.load("d")
+    assert data.config.observer.scale == (2, 2, "rank")
+    assert data.observers == [data.config.observer]
+    config = json.loads(Path("d.json").read_text())["config"]
+    assert (config["dim"], config["regime"], config["stream"]) == (3, "rooms", "validation")
+
+
+def test_obstacles_are_counted(here, cli):
+    flags = "--regime obstacles --scenes 2 --views 1 --per-scene 3 --cells 6 --candidates 4096"
+    assert cli(f"data {flags} --out d --json d.json") == 0
+    assert json.loads(Path("d.json").read_text())["result"]["with_obstacles"] == 2

@@ -3,45 +3,60 @@ from pathlib import Path
 
 from legibility.evaluation.dial import METRICS
 from legibility.evaluation.execution import ROWS
+from legibility.evaluation.eyes import EYES
 
 
 def test_dial(here, weights, cli, capsys):
-    flags = "--scenes 2 --goals 2..3 --seed 1 --levels 5 --samples 2 --candidates 2"
+    flags = (
+        "--scenes 2 --regime obstacles --goals 2..3 --seed 1 --levels 3 --samples 1 --candidates 2"
+    )
     assert cli(f"evaluate dial {flags} --json e.json --figure e.svg --model", weights) == 0
     text = capsys.readouterr().out
     content = json.loads(Path("e.json").read_text())
     assert content["command"].startswith("legibility evaluate dial --scenes 2 ")
     assert content["seed"] == 1
     assert content["config"]["goals"] == [2, 3]
+    assert content["config"]["regime"] == "obstacles"
+    assert content["config"]["modes"] == ["bare", "quick", "exact"]
     assert content["config"]["guidance"] is None
     assert content["model"]["name"] == weights
     assert len(content["result"]["scenes"]) == 2
-    for name, values in content["result"]["overall"].items():
+    for name, values in content["result"]["overall"]["quick"].items():
         assert METRICS[name] in text
         assert len(values["interval"]) == 2
     assert "<svg" in Path("e.svg").read_text()
 
 
-def test_dial_of_executed_motions(here, one_thread, cli, capsys):
+def test_eyes(here, weights, cli, capsys):
+    flags = "--scenes 1 --goals 2 --levels 3 --samples 1 --seed 1"
+    assert cli(f"evaluate eyes {flags} --json e.json --model", weights) == 0
+    text = capsys.readouterr().out
+    content = json.loads(Path("e.json").read_text())
+    assert content["config"]["regime"] == "dragan"
+    assert list(content["result"]["rows"]) == list(EYES)
+    assert "The posterior legibility:" in text
+
+
+def test_dial_of_executed_motions(here, executable, one_thread, cli, capsys):
     flags = "--closed-loop --scenes 1 --goals 2 --levels 3 --samples 1"
-    assert cli(f"evaluate dial {flags} --json e.json --figure e.png") == 0
+    assert cli(f"evaluate dial {flags} --json e.json --figure e.png --model", executable) == 0
     text = capsys.readouterr().out
     content = json.loads(Path("e.json").read_text())
     assert content["config"]["closed_loop"] is True
     assert set(content["model"]) == {"name", "path", "policy"}
-    assert {"success", "deviation"} < set(content["result"]["overall"])
+    assert {"success", "deviation"} < set(content["result"]["overall"]["quick"])
     assert "share of rollouts that reached the target" in text
     assert Path("e.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_execution(here, one_thread, cli, capsys):
+def test_execution(here, executable, one_thread, cli, capsys):
     flags = "--scenes 1 --goals 2..3 --rollouts 3 --seed 1"
-    assert cli(f"evaluate execution {flags} --json e.json") == 0
+    assert cli(f"evaluate execution {flags} --json e.json --model", executable) == 0
     text = capsys.readouterr().out
     content = json.loads(Path("e.json").read_text())
     assert content["config"] == {
-        "scenes": 1, "goals": [2, 3], "seed": 1, "rollouts": 3, "disturbance": None,
-        "env": None,
+        "scenes": 1, "regime": "dragan", "goals": [2, 3], "seed": 1, "rollouts": 3,
+        "disturbance": None, "env": None,
     }  # fmt: skip
     for name, row in content["result"]["rows"].items():
         assert ROWS[name].text in text

@@ -38,7 +38,7 @@ def test_help_of_a_group(capsys):
     assert main(["evaluate", "--help"]) == 0
     text = capsys.readouterr().out
     assert "Measure a model on held-out scenes." in text
-    for verb in ("dial", "execution", "table1", "unseen", "spectrum", "ablations"):
+    for verb in ("dial", "eyes", "execution", "table1", "unseen", "spectrum", "ablations"):
         assert f"• {verb} " in text
 
 
@@ -59,9 +59,27 @@ def test_mistaken_verb_is_answered_with_the_list(line, verb, capsys):
         ("score", ["--observer", "--target", "--json"]),
         (
             "data",
-            ["--scenes", "--goals LOW..HIGH", "--workers", "--info", "--per-scene", "--label"],
+            [
+                "--regime",
+                "--goals LOW..HIGH",
+                "--views",
+                "--candidates",
+                "--info",
+                "--detour",
+                "--label",
+            ],
         ),
-        ("train path", ["--data", "--validation", "--steps", "--ema", "--channels", "--device"]),
+        (
+            "train path",
+            [
+                "--data",
+                "--validation",
+                "--steps",
+                "--contact-weight",
+                "--jerk-weight",
+                "--channels",
+            ],
+        ),
         ("evaluate dial", ["--model", "--scenes", "--levels", "--samples", "--candidates"]),
     ],
 )
@@ -74,8 +92,8 @@ def test_help_of_a_verb(verb, flags, capsys):
 
 VERBS = [
     "plan", "execute", "score", "data", "bench", "report", "doctor",
-    *(f"evaluate {verb}" for verb in ("dial", "execution", "table1", "unseen", "spectrum",
-                                      "ablations")),
+    *(f"evaluate {verb}" for verb in ("dial", "eyes", "execution", "table1", "unseen",
+                                      "spectrum", "ablations")),
 ]  # fmt: skip
 
 
@@ -99,7 +117,16 @@ def test_settings_explain_themselves_and_leave_out_what_the_data_fixes(capsys):
     main(["train", "path", "--help"])
     text = capsys.readouterr().out
     assert "optimiser steps" in text
-    assert "--sigma" not in text
+    assert "--observer" not in text
+
+
+def test_data_fix_what_a_level_means_and_nothing_else_of_an_observer(capsys):
+    main(["data", "--help"])
+    text = capsys.readouterr().out
+    for flag in ("--alpha", "--detour", "--label"):
+        assert flag in text
+    for flag in ("--kind", "--prior", "--sigma", "--beta", "--viewpoint", "--depth"):
+        assert flag not in text
 
 
 @pytest.mark.parametrize(
@@ -142,7 +169,10 @@ def test_interrupt_says_what_resumes(monkeypatch, tmp_path, capsys):
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupt_from_the_keyboard(here, request):
-    words = "data --scenes 100000 --goals 2 --cells 6 --per-scene 3 --workers 2 --out d"
+    words = (
+        "data --scenes 100000 --goals 2 --cells 6 --per-scene 3 --candidates 4096 --regime dragan"
+        " --views 1 --workers 2 --out d"
+    )
     line = [sys.executable, "-m", "legibility", *words.split()]
     process = subprocess.Popen(
         line, stderr=subprocess.PIPE, text=True, start_new_session=True,

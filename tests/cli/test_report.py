@@ -5,23 +5,25 @@ from pathlib import Path
 import pytest
 
 from legibility.files import file_hash
-from legibility.models.pretrained import pretrained_folder
 
 KINDS = ("dial", "closed-loop", "execution")
+NAMES = ("dial-tiny-dragan", "dial-tiny-all", "closed-loop-tiny", "execution-tiny")
 
 
 @pytest.fixture(scope="module")
-def measured(cli, one_thread, tmp_path_factory):
-    """Results of the shipped model, and its weights in models/tiny."""
+def measured(cli, one_thread, executable, tmp_path_factory):
+    """Results of a model, and its weights in models/tiny."""
     folder = tmp_path_factory.mktemp("measured")
     dial = "evaluate dial --scenes 1 --seed 1 --levels 3 --samples 1 --candidates 0"
-    for kind, words in {
-        "dial": dial,
-        "closed-loop": f"{dial} --closed-loop",
-        "execution": "evaluate execution --scenes 1 --rollouts 3",
+    for name, words in {
+        "dial-tiny-dragan": dial,
+        "dial-tiny-all": f"{dial} --regime all",
+        "closed-loop-tiny": f"{dial} --closed-loop",
+        "execution-tiny": "evaluate execution --scenes 1 --rollouts 3",
     }.items():
-        assert cli(f"{words} --json", folder / "results" / f"{kind}-tiny.json") == 0
-    shutil.copytree(pretrained_folder("block-reach-2d"), folder / "models" / "tiny")
+        file = folder / "results" / f"{name}.json"
+        assert cli(f"{words} --model {executable} --json", file) == 0
+    shutil.copytree(executable, folder / "models" / "tiny")
     (folder / "models" / "tiny" / "README.md").unlink(missing_ok=True)
     return folder
 
@@ -41,12 +43,12 @@ def test_report(results, cli, capsys):
     written = capsys.readouterr().out.split()
     assert all(Path(file).stat().st_size for file in written)
     page = Path("docs/results.md").read_text()
-    for kind in KINDS:
-        command = json.loads(Path(f"results/{kind}-tiny.json").read_text())["command"]
+    for name in NAMES:
+        command = json.loads(Path(f"results/{name}.json").read_text())["command"]
         assert f"Measured by `{command}`." in page
-    for kind in ("dial", "closed-loop"):
-        assert f"(../results/{kind}-tiny.png)" in page
-        assert Path(f"results/{kind}-tiny.png").read_bytes().startswith(b"\x89PNG")
+    for name in NAMES[:-1]:
+        assert f"(../results/{name}.png)" in page
+        assert Path(f"results/{name}.png").read_bytes().startswith(b"\x89PNG")
     assert "| stage 2 without the path | " in page
     assert "`docs/results.md`" in Path("models/tiny/README.md").read_text()
     assert cli(REPORT) == 0
@@ -55,17 +57,17 @@ def test_report(results, cli, capsys):
 
 def test_page_elsewhere_links_the_pictures(results, cli):
     assert cli("report results --out a/b/page.md") == 0
-    assert "(../../results/dial-tiny.png)" in Path("a/b/page.md").read_text()
+    assert "(../../results/dial-tiny-dragan.png)" in Path("a/b/page.md").read_text()
     assert not Path("docs").exists()
     assert not Path("models/tiny/README.md").exists()
 
 
 def test_tables(results, cli):
     assert cli("report results --tables build") == 0
-    for kind in KINDS:
-        assert r"\toprule" in Path(f"build/{kind}-tiny-1.tex").read_text()
-        assert Path(f"build/{kind}-tiny-1.csv").read_text().count("\n") > 5
-    assert Path("build/dial-tiny.pdf").read_bytes().startswith(b"%PDF")
+    for name in NAMES:
+        assert r"\toprule" in Path(f"build/{name}-1.tex").read_text()
+        assert Path(f"build/{name}-1.csv").read_text().count("\n") > 5
+    assert Path("build/dial-tiny-dragan.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_texts_are_written_before_a_picture_fails(results, cli, monkeypatch):
@@ -87,7 +89,7 @@ def test_weights_that_were_just_trained(results, executable, cli):
         file.write_text(json.dumps({**content, "model": hashes}))
     assert cli(REPORT) == 0
     card = " ".join(Path("models/tiny/README.md").read_text().split())
-    assert "4 random scenes with 2 to 3 goals" in card
+    assert "4 random scenes (regime `training`, stream `train`" in card
     assert "8 demonstrations, 2 in each of 4 scenes" in card
     assert "20 batches of 16 moments of demonstrations" in card
 
@@ -96,27 +98,30 @@ def test_page_is_a_folder(results, refused):
     assert "cannot write the page results" in refused("report results --out results")
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_missing_result(kind, results, refused):
-    Path(f"results/{kind}-tiny.json").unlink()
-    assert f"there is no {kind}-tiny.json" in refused(REPORT)
+@pytest.mark.parametrize("name", NAMES)
+def test_missing_result(name, results, refused):
+    Path(f"results/{name}.json").unlink()
+    assert f"there is no {name}.json" in refused(REPORT)
 
 
-@pytest.mark.parametrize(("kind", "stage"), [("dial", "path"), ("execution", "policy")])
-def test_result_of_other_weights(kind, stage, results, refused):
-    file = Path(f"results/{kind}-tiny.json")
+@pytest.mark.parametrize(
+    ("name", "stage"), [("dial-tiny-all", "path"), ("execution-tiny", "policy")]
+)
+def test_result_of_other_weights(name, stage, results, refused):
+    file = Path(f"results/{name}.json")
     content = json.loads(file.read_text())
     content["model"][stage] = "0" * 64
     file.write_text(json.dumps(content))
-    assert f"{kind}-tiny.json is a result of other weights" in refused(REPORT)
+    assert f"{name}.json is a result of other weights" in refused(REPORT)
 
 
 @pytest.mark.parametrize(("kind", "other"), [("dial", "closed-loop"), ("closed-loop", "dial"),
                                              ("execution", "dial"), ("dial", "execution"),
                                              ("closed-loop", "execution")])  # fmt: skip
 def test_result_of_another_kind(kind, other, results, refused):
-    shutil.copy(f"results/{other}-tiny.json", f"results/{kind}-tiny.json")
-    assert f"{kind}-tiny.json is not a result of the kind {kind}" in refused(REPORT)
+    names = {name.partition("-tiny")[0]: name for name in NAMES}
+    shutil.copy(f"results/{names[other]}.json", f"results/{names[kind]}.json")
+    assert f"{names[kind]}.json is not a result of the kind {kind}" in refused(REPORT)
 
 
 @pytest.mark.parametrize("spoil", [

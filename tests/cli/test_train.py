@@ -18,7 +18,7 @@ def test_report_and_weights(run, dataset):
     assert content["command"].startswith("legibility train path --steps 20 ")
     assert content["config"]["training"]["steps"] == 20
     assert content["config"]["path"]["channels"] == [8, 16]
-    assert content["config"]["path"]["observer"]["sigma"] == 0.15
+    assert content["config"]["path"]["observer"] == lg.Observer().to_dict()
     assert content["model"] == {
         "name": str(weights),
         "path": hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest(),
@@ -55,13 +55,16 @@ def test_validation_is_made_if_none_is_given(
     assert cli(f"train path --steps 1 {tiny} --out run --data", dataset) == 0
     made, data = Dataset.load("run/validation").config, Dataset.load(dataset).config
     assert (made.stream, made.scenes) == ("validation", 2)
-    assert (made.goals, made.observer, made.cells) == (data.goals, data.observer, data.cells)
+    assert made.views == 1
+    for name in ("regime", "goals", "observer", "cells", "candidates"):
+        assert getattr(made, name) == getattr(data, name)
     assert "spearman" in capsys.readouterr().err
     assert Path("run/log.jsonl").exists()
 
 
 def test_validation_data_are_not_validated_on_themselves(cli, refused, capsys):
-    assert cli("data --scenes 1 --goals 2 --per-scene 3 --cells 6 --stream validation --out v") == 0
+    words = "data --scenes 1 --goals 2 --per-scene 3 --cells 6 --candidates 4096 --regime dragan"
+    assert cli(f"{words} --stream validation --out v") == 0
     capsys.readouterr()
     assert "give --validation" in refused("train path --data v --out run")
 
@@ -83,10 +86,8 @@ def test_line_of_a_validation():
     assert _line(50, {"loss": 1.0, "validation_error": 0.5}) == "step 50  loss 1.0000  error 0.5000"
 
 
-def test_policy_beside_the_path(run, dataset, cli, tmp_path, capsys):
-    shown = tmp_path / "shown"
-    words = "data --scenes 4 --goals 2..3 --per-scene 17 --cells 16 --demonstrations 2 --out"
-    assert cli(words, shown) == 0
+def test_policy_beside_the_path(run, dataset, shown, cli, tmp_path, capsys):
+    assert cli("data --info", shown) == 0
     assert "8, " in capsys.readouterr().out
     weights = shutil.copytree(run / "weights", tmp_path / "weights")
     words = (

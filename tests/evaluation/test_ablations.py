@@ -42,7 +42,8 @@ def model(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    return generate(DatasetConfig(scenes=4, cells=8, per_scene=9), tmp_path_factory.mktemp("data"))
+    config = DatasetConfig(scenes=4, views=2, cells=8, candidates=4096, per_scene=9)
+    return generate(config, tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +123,7 @@ class TestEvaluate:
             "rank-label": (True, "rank", 2),
             "scenes-3": (True, "anchored", 3),
         }
-        assert Dataset.load(folder / "rank-data").scenes == data.scenes[:2]
+        assert Dataset.load(folder / "rank-data").scenes == data.scenes[: 2 * 2]
 
     def test_progress(self, evaluated):
         _, _, told = evaluated
@@ -154,12 +155,15 @@ class TestEvaluate:
                 {"observer": Observer(label="rank")},
                 "stream train and label anchored, theirs are train and rank",
             ),
-            ({"observer": Observer(sigma=0.2)}, "the data have sigma 0.2, the model 0.15"),
+            ({"observer": Observer(detour=2)}, r"the data have detour 2\.0, the model 2\.5"),
+            ({"dim": 3}, "the data have dim 3, the model 2"),
         ],
     )
     def test_data_that_are_not_for_the_model(self, changes, message, model, tmp_path):
-        config = DatasetConfig(**{"scenes": 3, "goals": (2, 2), "cells": 8, "per_scene": 3,
-                                  **changes})  # fmt: skip
+        config = DatasetConfig(**{
+            "scenes": 3, "views": 1, "goals": (2, 2), "cells": 6, "candidates": 4096,
+            "per_scene": 3, **changes,
+        })  # fmt: skip
         data = generate(config, tmp_path / "data")
         with pytest.raises(InvalidInputError, match=message):
             evaluate_ablations(model, data, tmp_path / "out", SHORT)

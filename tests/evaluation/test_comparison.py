@@ -35,6 +35,7 @@ from legibility.report.table import markdown
 
 GUIDED = [name for name, method in METHODS.items() if method.guided]
 KIND = vector_type("2d", 2)
+PAPER = lg.Observer.paper(2)
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +84,9 @@ class TestMeasured:
         """Decoded from the paper's Table I, in which its Diffusion Policy has 1.54 and 1.23."""
         place = SCENES[2]
         archive = lg.build_archive(
-            place.scene, TARGETS[letter], cells=8, random_candidates=256, max_candidates=256
-        )
+            place.scene, TARGETS[letter], observer=PAPER, cells=8, random_candidates=256,
+            max_candidates=256,
+        )  # fmt: skip
         goal = place.scene.goals[TARGETS[letter]]
         line = np.linspace(place.scene.start, goal, 57)
         found = measured(line, archive, place.spacing, place.unit)
@@ -95,7 +97,9 @@ class TestMeasured:
 
     def test_does_not_depend_on_how_densely_a_motion_is_sampled(self):
         place = SCENES[2]
-        archive = lg.build_archive(place.scene, cells=8, random_candidates=256, max_candidates=256)
+        archive = lg.build_archive(
+            place.scene, observer=PAPER, cells=8, random_candidates=256, max_candidates=256
+        )
         t = np.linspace(0, 1, 3001)[:, None]
         curve = place.scene.start + t * (place.scene.goals[0] - place.scene.start)
         curve[:, 1] += 0.2 * np.sin(np.pi * t[:, 0])
@@ -114,7 +118,7 @@ class TestContest:
     def test_all_methods_have_the_same_robots(self, modulator, policies, monkeypatch):
         scene = SCENES[2].scene
         jobs = [Job(scene, 0, 1.0, 11 + i, i) for i in range(3)]
-        archive = modulator.archive(scene, 0)
+        archive = modulator.archive(scene, 0, PAPER)
         contest = Contest(modulator, policies, KIND, (64, 640))
         gains = []
         execute = modulator.execute_many
@@ -138,12 +142,13 @@ class TestContest:
     def test_a_path_does_not_depend_on_the_batch(self, modulator, policies):
         scene = SCENES[2].scene
         jobs = [Job(scene, 0, level, 0, i) for i, level in enumerate((-1.0, 0.3, 1.0))]
-        archives = [modulator.archive(scene, 0)] * 3
+        archives = [modulator.archive(scene, 0, PAPER)] * 3
         contest = Contest(modulator, policies, KIND, (64, 640))
         for name, method in METHODS.items():
             together = contest.paths(name, jobs, archives)
             alone = contest.paths(name, jobs[1:2], archives[1:2])
             np.testing.assert_array_equal(together[1].waypoints, alone[0].waypoints)
+            assert {path.observer for path in together} == {PAPER}
             if method.dial:
                 scores = [float(p.score) for p in together]
                 assert scores == sorted(scores), name
@@ -247,6 +252,7 @@ def test_unseen(modulator, policies):
 def test_spectrum(modulator, tmp_path):
     config = SpectrumConfig(levels=5, rollouts=4, seed=1)
     result = evaluate_spectrum(modulator, config)
+    assert written(result)["observer"] == PAPER.to_dict()
     for letter in TARGETS:
         own = result["targets"][letter]
         assert own["costs"].shape == (5, 4)
@@ -256,5 +262,6 @@ def test_spectrum(modulator, tmp_path):
         read = Spectrum.of_result(written(result), letter)
         np.testing.assert_allclose(read.costs, own["costs"])
         assert len(read.motions) == 5
+        assert read.field is PAPER.field(read.scene)
     section = markdown(spectrum_section(document(result, config)))
     assert "rises at 0 of 4 steps" in section

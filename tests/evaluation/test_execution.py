@@ -19,10 +19,10 @@ SMALL = ExecutionConfig(scenes=3, rollouts=18, seed=1)
 
 
 @pytest.fixture(scope="module")
-def modulator():
+def modulator(exact):
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield Modulator.from_pretrained("block-reach-2d")
+    yield exact
     torch.set_num_threads(threads)
 
 
@@ -134,6 +134,10 @@ class TestMeasuresWhatItSays:
         expected = shares.reshape(3, 6).mean(1)
         assert found["rows"]["policy"]["deviation"]["mean"] == pytest.approx(expected.mean())
 
+    def test_nothing_is_touched_where_nothing_is(self, found):
+        for row in found["rows"].values():
+            assert row["contacts"] == row["touching"] == 0
+
     def test_reproducible(self, modulator, found):
         again = evaluate_execution(modulator, SMALL)
         assert again["rows"] == found["rows"]
@@ -165,6 +169,14 @@ class TestMeasuresWhatItSays:
         assert measured(1) == measured(2)
 
 
+def test_past_obstacles(modulator):
+    config = ExecutionConfig(scenes=2, regime="obstacles", rollouts=6, seed=1)
+    rows = evaluate_execution(modulator, config)["rows"]
+    for row in rows.values():
+        assert 0 <= row["touching"] <= min(6, row["contacts"])
+    assert rows["feedback"]["contacts"] == 0
+
+
 def test_failures_that_gather_in_a_scene_widen_the_interval():
     spread, gathered = np.ones((2, 20, 10), dtype=bool)
     spread[:10, 0] = False
@@ -179,7 +191,8 @@ def test_failures_that_gather_in_a_scene_widen_the_interval():
 @pytest.mark.parametrize(
     "wrong",
     [{"scenes": 0}, {"rollouts": 0}, {"rollouts": 20}, {"rollouts": 6}, {"seed": -1},
-     {"goals": (1, 2)}, {"disturbance": -0.1}, {"disturbance": np.nan}],
+     {"goals": (1, 2)}, {"regime": "rooms"}, {"regime": "all"}, {"disturbance": -0.1},
+     {"disturbance": np.nan}],
     ids=str,
 )  # fmt: skip
 def test_bad_settings(modulator, wrong):

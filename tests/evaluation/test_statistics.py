@@ -12,6 +12,7 @@ from legibility.evaluation.statistics import (
     paired_test,
     rank_correlation,
     share_interval,
+    spearman_ceiling,
     summary,
 )
 
@@ -85,11 +86,27 @@ class TestRankCorrelation:
         assert rank_correlation(np.ones(5), np.ones(5)) == 0
 
 
+class TestCeiling:
+    @pytest.mark.parametrize(("levels", "samples"), [(21, 8), (11, 4), (5, 2)])
+    def test_without_noise_it_is_that_of_repeated_levels(self, levels, samples):
+        number = levels * samples
+        asked = np.repeat(np.linspace(-1, 1, levels), samples)
+        expected = np.sqrt(1 - (samples**2 - 1) / (number**2 - 1))
+        assert spearman_ceiling(asked, 0) == pytest.approx(expected, abs=1e-4)
+
+    def test_falls_with_noise(self):
+        asked = np.repeat(np.linspace(-1, 1, 21), 8)
+        ceilings = [spearman_ceiling(asked, error) for error in (0, 0.02, 0.1, 0.5, 100)]
+        assert ceilings == sorted(ceilings, reverse=True)
+        assert ceilings[-1] < 0.3
+
+
 @given(st.lists(whole, min_size=1, max_size=20))
 def test_summary(values):
     found = summary(np.array(values))
     assert found["mean"] == pytest.approx(np.mean(values))
     assert (found["min"], found["max"]) == (min(values), max(values))
+    assert found["median"] == pytest.approx(np.median(values))
     assert found["interval"] == list(bootstrap_interval(np.array(values)))
     assert all(type(found[name]) is float for name in ("mean", "min", "max"))
 

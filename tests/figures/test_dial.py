@@ -18,13 +18,14 @@ def dial(scenes=5, levels=7):
     asked = np.linspace(-1, 1, levels)
     achieved = np.clip(asked + rng.normal(0, 0.05, (scenes, levels)), -1, 1)
     rows = [
-        {"scene": i, "goals": 2, "spearman": 0.99, "achieved": row.tolist(),
-         "error_by_level": np.abs(row - asked).tolist()}
+        {"scene": i, "goals": 2, "quick": {"achieved": row.tolist(),
+         "error_by_level": np.abs(row - asked).tolist()}}
         for i, row in enumerate(achieved)
     ]  # fmt: skip
     figure = {"mean": 0.99, "interval": [0.98, 1.0], "min": 0.97, "max": 1.0}
-    overall = dict.fromkeys(("spearman", "error", "error_candidates"), figure)
-    return {"overall": overall, "levels": asked.tolist(), "plan_ms": 2.0, "scenes": rows}
+    metrics = dict.fromkeys(("spearman", "error"), figure)
+    overall = {"scenes": scenes, "quick": metrics, "exact": metrics}
+    return {"overall": overall, "levels": asked.tolist(), "scenes": rows}
 
 
 @pytest.mark.parametrize("scenes", [1, 5, 301])
@@ -33,9 +34,9 @@ def test_dial(scenes, tmp_path):
     assert_picture(tmp_path / "dial.png")
 
 
-def test_dial_without_candidates(tmp_path):
+def test_dial_of_one_mode(tmp_path):
     result = dial()
-    del result["overall"]["error_candidates"]
+    del result["overall"]["exact"]
     dial_figure(result, tmp_path / "dial.png")
     assert_picture(tmp_path / "dial.png")
 
@@ -88,10 +89,11 @@ def test_no_global_state(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("spoil", [
     lambda r: r.pop("levels"),
-    lambda r: r["scenes"][0].pop("achieved"),
-    lambda r: r["scenes"][0]["achieved"].pop(),
+    lambda r: r["scenes"][0]["quick"].pop("achieved"),
+    lambda r: r["scenes"][0]["quick"]["achieved"].pop(),
     lambda r: r["levels"].pop(),
-    lambda r: r["overall"].update(spearman=None),
+    lambda r: r["overall"]["quick"].update(spearman=None),
+    lambda r: r.update(overall={}),
     lambda r: r.update(scenes=[]),
 ])  # fmt: skip
 def test_a_malformed_result_is_refused(spoil, tmp_path):

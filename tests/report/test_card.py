@@ -11,6 +11,7 @@ from legibility.report.card import render_card
 
 DATA = {
     "scenes": 12800, "seed": 0, "stream": "train", "goals": [2, 6], "per_scene": 129,
+    "regime": "training", "views": 3,
 }  # fmt: skip
 TRAINED = {
     "parameters": 1304194, "seconds": 3120.0, "step_seconds": 0.18, "device": "cpu",
@@ -25,7 +26,7 @@ OF_POLICY = {
     **TRAINED, "training": {"steps": 8000, "seed": 0, "batch": 1024},
     "demonstrations": DEMONSTRATIONS,
 }  # fmt: skip
-OBSERVER = {"sigma": 0.15, "alpha": 3.0, "label": "anchored"}
+OBSERVER = {"kind": "boltzmann", "alpha": 3.0, "detour": 2.5, "label": "anchored"}
 CONFIG = {
     "format": 3,
     "path": {
@@ -37,6 +38,7 @@ CONFIG = {
     },
     "policy": {"config": {"dim": 2}, "sha256": "b" * 64, "training": OF_POLICY},
 }  # fmt: skip
+NAMES = {"dial": "m-dragan", "closed-loop": "m", "execution": "m"}
 CHOSEN = {"guidance": 5.0, "guidance_decay": 0.5, "guidance_share": 1.0}
 BASELINE = {
     "format": 3,
@@ -51,7 +53,8 @@ BASELINE = {
 @pytest.fixture
 def results():
     return {
-        "dial": {"m": documents.dial()}, "closed-loop": {"m": documents.dial(True)},
+        "dial": {f"m-{r}": documents.dial(regime=r) for r in ("dragan", "all")},
+        "closed-loop": {"m": documents.dial(True)},
         "execution": {"m": documents.execution()},
     }  # fmt: skip
 
@@ -63,8 +66,9 @@ def words(card):
 class TestModulator:
     def test_training(self, results):
         card = words(render_card("m", CONFIG, results))
-        assert "12,800 random scenes with 2 to 6 goals (stream `train`, seed 0)" in card
-        assert "labels `anchored`, σ = 0.15 m, α = 3.0" in card
+        assert "12,800 random scenes (regime `training`, stream `train`, seed 0)" in card
+        assert "each seen by 3 random observers; for each of these 129 trajectories" in card
+        assert "labels `anchored`, α = 3, detour 2.5." in card
         assert "12,000 batches of 128 scenes × 8 trajectories, seed 0, in 52 minutes" in card
         assert "8,000 batches of 1,024 moments of demonstrations" in card
         assert "12,800 demonstrations, 4 in each of 3,200 scenes" in card
@@ -72,7 +76,7 @@ class TestModulator:
 
     def test_metrics(self, results):
         card = render_card("m", CONFIG, results)
-        overall = results["dial"]["m"]["result"]["overall"]
+        overall = results["dial"]["m-dragan"]["result"]["overall"]["quick"]
         assert f"| mean absolute error of ℓ | {overall['error']['mean']:.4f} |" in card
         assert "| success of executed motions | 100.00% |" in card
         assert "`docs/results.md`" in card
@@ -119,7 +123,7 @@ class TestModulator:
     @pytest.mark.parametrize("kind", ["dial", "closed-loop", "execution"])
     def test_a_missing_result(self, kind, results):
         del results[kind]
-        with pytest.raises(InvalidInputError, match=f"there is no {kind}-m.json"):
+        with pytest.raises(InvalidInputError, match=f"there is no {kind}-{NAMES[kind]}.json"):
             render_card("m", CONFIG, results)
 
     @pytest.mark.parametrize(
@@ -129,12 +133,13 @@ class TestModulator:
     )  # fmt: skip
     @pytest.mark.parametrize("other", ["c" * 64, None])
     def test_a_result_of_other_weights(self, kind, stage, other, results):
-        results[kind]["m"]["model"] = {**documents.MODEL, stage: other}
-        with pytest.raises(InvalidInputError, match=f"{kind}-m.json is a result of other weights"):
+        results[kind][NAMES[kind]]["model"] = {**documents.MODEL, stage: other}
+        problem = f"{kind}-{NAMES[kind]}.json is a result of other weights"
+        with pytest.raises(InvalidInputError, match=problem):
             render_card("m", CONFIG, results)
 
     def test_another_stage_2_does_not_touch_the_dial_of_paths(self, results):
-        results["dial"]["m"]["model"] = {**documents.MODEL, "policy": "c" * 64}
+        results["dial"]["m-dragan"]["model"] = {**documents.MODEL, "policy": "c" * 64}
         render_card("m", CONFIG, results)
 
     @pytest.mark.parametrize("stage", ["path", "policy"])

@@ -7,10 +7,11 @@ import documents
 import pytest
 
 from legibility.errors import InvalidInputError
+from legibility.evaluation.configuration import EVALUATED
 from legibility.report.results import KINDS, headline_table, read_results, render_page
 
 ALL = {
-    "dial": documents.dial(), "closed-loop": documents.dial(True),
+    "dial": documents.dial(), "closed-loop": documents.dial(True), "eyes": documents.eyes(),
     "execution": documents.execution(), "transfer": documents.transfer(),
     "table1": documents.table1(), "unseen": documents.unseen(), "spectrum": documents.spectrum(),
     "ablations": documents.ablations(),
@@ -45,19 +46,34 @@ def test_page_without_some_kinds(results):
     assert "| mean absolute error of ℓ |" not in page  # the headline is of the shipped models
 
 
+def test_regimes_stand_side_by_side(results):
+    results["dial"] = {f"m-{r}": documents.dial(regime=r) for r in EVALUATED}
+    page = render_page(results, "../results")
+    assert "## Regimes: m\n\n| regime | mode |" in page
+    for regime in EVALUATED:
+        assert page.count(f"\n| {regime} | exact | ") == 2
+
+
 def test_headline(results):
+    results["dial"] = {f"m-{r}": documents.dial(regime=r) for r in EVALUATED}
+    results["execution"] |= {"m-obstacles": documents.execution()}
     table = headline_table(results, {"m": "ours", "n": "theirs"})
     rows = {row[0]: row[1:] for row in table.rows}
-    overall = results["dial"]["m"]["result"]["overall"]
-    assert rows["mean absolute error of ℓ"] == (f"{overall['error']['mean']:.4f}", "–")
+    overall = documents.dial()["result"]["overall"]
+    assert rows["mean absolute error of ℓ"] == (f"{overall['quick']['error']['mean']:.4f}", "–")
+    assert rows["the same, exact"] == (f"{overall['exact']['error']['mean']:.4f}", "–")
+    assert rows["any room, any observer, obstacles: Spearman correlation"][0] == (
+        f"{overall['quick']['spearman']['mean']:.4f}"
+    )
     assert rows["success of executed motions"] == ("100.00%", "–")
+    assert rows["the same, past obstacles"] == ("100.00%", "–")
     assert rows["one plan on one core, PyTorch / ONNX [ms]"] == ("– / 0.500", "– / –")
 
 
 def test_headline_leaves_out_what_was_not_measured(results):
     del results["bench"], results["execution"]
     texts = [row[0] for row in headline_table(results, {"m": "ours"}).rows]
-    assert len(texts) == 5
+    assert texts == ["error of ℓ of the executed motion"]
     assert not any("plan on one core" in text or "success" in text for text in texts)
 
 

@@ -18,7 +18,7 @@ import joblib
 import numpy as np
 import torch
 
-from ..data.configuration import DatasetConfig
+from ..data.configuration import DatasetConfig, SceneStream
 from ..data.dataset import Dataset, generate
 from ..envs import vector_type
 from ..errors import MissingExtraError, WorkerError
@@ -42,6 +42,7 @@ Entry = tuple[str, dict[str, Any], Work, int | None]
 
 _GOALS = 4
 _SCENES = 100  # more than the modulator caches
+_WITH_ARCHIVE = 4  # scenes of exact plans
 _WARM_UP = 8  # training steps until memory is allocated
 
 # Peak memory is that of /proc: `resource` counts the parent's memory at the fork too.
@@ -97,7 +98,11 @@ def load(name: str, skipped: list[str]) -> Backends:
 
 
 def plans(name: str, backends: Backends, config: BenchConfig) -> Rows:
-    """Latency from scene to checked path by batch and number of goals, and on one core."""
+    """Latency from scene to checked path by batch and number of goals, and on one core.
+
+    Past obstacles a plan is quick, in scenes never seen before, or exact, in a few scenes whose
+    archives are there.
+    """
     sizes = dict.fromkeys([(b, _GOALS) for b in config.batches] + [(1, g) for g in config.goals])
     entries: list[Entry] = []
     for backend, model in backends.items():
@@ -107,6 +112,9 @@ def plans(name: str, backends: Backends, config: BenchConfig) -> Rows:
             entries.append(("plan_ms", {**at, "batch": batch, "goals": goals}, plan, None))
         alone = threads(1)(timed(_planning(model, 1, _GOALS)))
         entries.append(("plan_one_core_ms", at, alone, None))
+        for mode in ("quick", "exact"):
+            plan = threads(1)(timed(_planning_past_obstacles(model, mode == "exact")))
+            entries.append(("plan_obstacles_ms", {**at, "mode": mode}, plan, None))
     return _measured(entries, config)
 
 
@@ -215,6 +223,23 @@ def _planning(modulator: Modulator, batch: int, goals: int) -> Callable[[], obje
     scenes = itertools.cycle(_scenes(modulator.config.dim, goals))
     levels, seeds = _levels(batch), itertools.count()
     return lambda: modulator.plan(next(scenes), 0, levels, seed=next(seeds))
+
+
+@cache
+def _scenes_with_obstacles(dim: int) -> list[Scene]:
+    stream = SceneStream("evaluation", dim, "obstacles", (_GOALS, _GOALS))
+    return [stream.scene(index) for index in range(_SCENES)]
+
+
+def _planning_past_obstacles(modulator: Modulator, exact: bool) -> Callable[[], object]:
+    """Plan one path past one to four obstacles, each time in the next scene."""
+    scenes, seeds = _scenes_with_obstacles(modulator.config.dim), itertools.count()
+    if exact:
+        scenes = scenes[:_WITH_ARCHIVE]
+        for scene in scenes:
+            modulator.archive(scene)
+    turns = itertools.cycle(scenes)
+    return lambda: modulator.plan(next(turns), 0, 0.5, seed=next(seeds), exact=exact)
 
 
 def _dataset(dim: int, config: BenchConfig) -> Dataset:

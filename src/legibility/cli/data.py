@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections import Counter
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from ..data.dataset import Dataset
 
 _Flags = flags(DatasetConfig, "observer")
-_Observer = flags(Observer)
+_SCALE = ("alpha", "detour", "label")
+_Observer = flags(Observer, *(f.name for f in fields(Observer) if f.name not in _SCALE))
 _Demonstrations = flags(DemonstrationsConfig)
 _BINS = 20
 _BAR = 40
@@ -44,7 +46,7 @@ def data(
 
     Args:
         dataset: scenes and trajectories.
-        observer: the observer of the scores and labels.
+        observer: what ℓ means, whoever watches.
         controller: the demonstrations.
         workers: processes that make the data.
         out: folder of the dataset to make.
@@ -78,7 +80,9 @@ def data(
     if figure is not None:
         from ..figures.paper import archive_figure
 
-        archive = config.archive(0, config.observer, config.cells)
+        archive = config.archive(
+            0, config.observer, cells=config.cells, max_candidates=config.candidates
+        )
         scene, curves, labels = archive.scene, archive.trajectories, archive.labels
         archive_figure(scene, 0, curves, labels, content.labels, figure)
         show(f"picture: {figure}")
@@ -109,18 +113,21 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
     from ..data.dataset import shard_names
     from ..data.demonstrations import DEMONSTRATIONS, Demonstrations
 
-    labels = np.clip(dataset.labels, -1, 1)
+    config, labels = dataset.config, np.clip(dataset.labels, -1, 1)
     edges = np.round(np.linspace(-1, 1, _BINS + 1), 12)
-    goals, scenes = np.unique([s.num_goals for s in dataset.scenes], return_counts=True)
+    places = dataset.scenes[:: config.views]
+    goals, scenes = np.unique([s.num_goals for s in places], return_counts=True)
     means = {
         name: {"mean": dataset.summary[name].mean(), end: getattr(dataset.summary[name], end)()}
         for name, end in (("coverage", "min"), ("elites", "min"), ("candidates", "max"))
     }
     result = {
-        "scenes": len(dataset.scenes),
+        "scenes": len(places),
         "trajectories": labels.size,
+        "with_obstacles": sum(bool(s.obstacles) for s in places),
+        "observers": Counter(o.kind for o in dataset.observers),
         "sha256": dataset.digest,
-        "bytes": sum((folder / n).stat().st_size for n in shard_names(dataset.config)),
+        "bytes": sum((folder / n).stat().st_size for n in shard_names(config)),
         "goals": dict(zip(goals.tolist(), scenes, strict=True)),
         **means,
         "labels": {"edges": edges, "counts": np.histogram(labels, bins=edges)[0]},
@@ -140,11 +147,16 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
 
 def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list[Table]:
     facts = table(f"dataset {folder}", "", "", text_columns=2)
-    for name, value in config.to_dict().items():
+    content = config.to_dict()
+    observer = content.pop("observer")
+    for name, value in {**content, **{key: observer[key] for key in _SCALE}}.items():
         facts.add_row(name, "..".join(map(str, value)) if isinstance(value, list) else str(value))
     facts.add_section()
     elites, coverage = result["elites"], result["coverage"]
     facts.add_row("trajectories", f"{result['trajectories']} in {result['scenes']} scenes")
+    facts.add_row("with obstacles", f"{result['with_obstacles']} scenes")
+    watching = (f"{number} {kind}" for kind, number in sorted(result["observers"].items()))
+    facts.add_row("observers", ", ".join(watching))
     facts.add_row("elites a scene", f"{elites['mean']:.0f} (least {elites['min']})")
     facts.add_row("coverage", f"{coverage['mean']:.3f} (least {coverage['min']:.3f})")
     facts.add_row("size", f"{result['bytes'] / 1e6:.3g} MB")

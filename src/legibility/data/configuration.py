@@ -42,7 +42,8 @@ class SceneStream:
     Attributes:
         stream: seed stream, train, validation or evaluation; no two share a scene.
         dim: 2 or 3.
-        regime: one of `REGIMES`.
+        regime: of scenes and observers: paper, dragan, observers, rooms, obstacles, all, or
+            training, a mixture of these; see `REGIMES`.
         goals: least and most goals of a scene, from 2 to 12.
         seed: of the scenes and their archives.
     """
@@ -122,7 +123,6 @@ class DatasetConfig(SceneStream):
     """The settings of a dataset.
 
     Attributes:
-        regime: see `SceneStream`.
         scenes: number of random scenes.
         views: observers of each scene, whose labels differ.
         per_scene: trajectories chosen from each archive for each observer, at equal steps of ℓ.

@@ -20,6 +20,7 @@ from ..intent.metrics import (
     potential_cost,
     time_to_confidence,
 )
+from ..intent.observer import Observer
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
@@ -126,7 +127,10 @@ def evaluate_table1(
     contest, place = _contest(modulator, policies, config)
     units = place.spacing, place.unit
     times = contest.times(place.scene)
-    archives = {t: modulator.archive(place.scene, target) for t, target in TARGETS.items()}
+    archives = {
+        letter: modulator.archive(place.scene, target, contest.observer)
+        for letter, target in TARGETS.items()
+    }
     seeds = [plan_seeds(config.seed, i, 2) for i in range(config.rollouts)]
     work = []
     for letter, target in TARGETS.items():
@@ -188,9 +192,8 @@ def evaluate_unseen(
         `tests`: see `compare`, paired by scene; `search`: number of curves of the two searches.
     """
     contest, place = _contest(modulator, policies, config)
-    source = SceneStream("evaluation", contest.kind.dim, goals=config.goals, seed=config.seed)
-    observer = modulator.config.observer
-    archives = [source.archive(index, observer) for index in range(config.scenes)]
+    source = SceneStream("evaluation", contest.kind.dim, "paper", config.goals, config.seed)
+    archives = [source.archive(index, contest.observer) for index in range(config.scenes)]
     oracle = [measured(a.trajectories[a.nearest(1.0)], a, place.spacing) for a in archives]
     levels = level_steps(config.levels)
     legible = _jobs(archives, [1.0] * config.rollouts, config.seed, "plan")
@@ -247,8 +250,8 @@ def _contest(
     place, size = SCENES[kind.dim], config.search_candidates
     sizes = (size, 10 * size)
     if not size:  # as many curves as fit in the time of a plan, and in ten times that
-        plan = plan_milliseconds(modulator, place.scene, repeats=25)
-        observer = modulator.config.observer
+        observer = Observer.paper(kind.dim)
+        plan = plan_milliseconds(modulator, place.scene, repeats=25, observer=observer)
         few, many = (candidates_within(f * plan, place.scene, 0, observer) for f in (1, 10))
         sizes = (few, many)
     return Contest(modulator, policies, kind, sizes), place

@@ -14,6 +14,7 @@ from ..checks import Array
 from ..drivers import Driver, Policy, RobotStates
 from ..envs.block_reach import BlockReachVector
 from ..errors import InvalidInputError
+from ..intent.observer import Observer
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
@@ -66,7 +67,7 @@ class Job(NamedTuple):
 
 
 class Contest:
-    """All methods on the same scenes, levels, robots and seeds.
+    """All methods on the same scenes, levels, robots and seeds, for the paper's observer.
 
     Stage 2 of `modulator` follows the paths of all methods that have one; `policies` are the
     goal-conditioned baselines by the name of their method; `sizes` are the numbers of curves that
@@ -93,7 +94,7 @@ class Contest:
                 )
         self.modulator, self.policies, self.kind = modulator, policies, kind
         self.policy, self.sizes = policy, sizes
-        self.observer = modulator.config.observer
+        self.observer = Observer.paper(kind.dim)
 
     @threads(1)
     def times(self, scene: Scene) -> dict[str, dict[str, float]]:
@@ -130,7 +131,11 @@ class Contest:
             size = self.sizes[name != "search"]
             return [search(*job[:3], self.observer, size, job.plan_seed) for job in jobs]
         if name in OURS:
-            plan = partial(self.modulator.plan, num_candidates=CANDIDATES if name == OURS[1] else 1)
+            plan = partial(
+                self.modulator.plan,
+                observer=self.observer,
+                num_candidates=CANDIDATES if name == OURS[1] else 1,
+            )
             return [plan(*job[:3], seed=job.plan_seed) for job in jobs]
         return [straight_path(*job[:3], self.observer) for job in jobs]
 

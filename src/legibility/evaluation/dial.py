@@ -71,6 +71,7 @@ _OPTIONS: dict[str, dict[str, bool]] = dict(
 _POINTS = 400  # at which curves are measured
 _THREE = level_steps(3)
 _NEAR, _WAVE = 0.05, 0.5
+_ROUNDING = 1e-12
 _LEAST_GAIN = 0.01  # of the archive's range
 
 
@@ -246,7 +247,7 @@ class _Judge(NamedTuple):
             "at_-1": float(means[0]),
             "wrong_order": float((np.diff(means) < 1e-9).mean()),
             # Scores, because labels end at ±1.
-            "adjacent_order": float((np.diff(score, axis=0) > 0).mean()),
+            "adjacent_order": float((np.diff(score, axis=0) > _ROUNDING).mean()),
             "spread": float(achieved.std(axis=1).mean()),
             "feasible": float(feasible[self.counted].mean()),
             "waves": float((excess > _WAVE).mean()),

@@ -12,7 +12,7 @@ from ..checks import Array
 from ..curves import spaced
 from ..envs import vector_type
 from ..errors import InvalidInputError
-from ..intent.field import InformationPotentialField
+from ..intent.field import Field
 from ..intent.metrics import potential_cost
 from ..intent.observer import Observer
 from ..modulator import Modulator
@@ -30,6 +30,8 @@ def evaluate_spectrum(
 ) -> dict[str, Any]:
     """Execute motions of all levels in the scene of Table I, toward R and toward G.
 
+    The dial is turned for the paper's observer.
+
     Returns:
         `targets`: of each, at every level, the `costs (L, N)`, L_p of the table, with `mean` and
         `interval`, the `achieved` ℓ, and the `states` of the first motion; `success`, a share;
@@ -37,14 +39,14 @@ def evaluate_spectrum(
         `angles`, of the joints at the start.
     """
     kind = vector_type(config.env, modulator.config.dim)
-    place = SCENES[kind.dim]
+    place, observer = SCENES[kind.dim], Observer.paper(kind.dim)
     levels = level_steps(config.levels)
     asked = np.repeat(levels, config.rollouts)
     advance = counter(progress, len(TARGETS) * len(asked))
     targets = {}
     for letter, target in TARGETS.items():
         plan_seed, env_seed = plan_seeds(config.seed, target, 2)
-        plans = modulator.plan(place.scene, target, asked, seed=plan_seed)
+        plans = modulator.plan(place.scene, target, asked, seed=plan_seed, observer=observer)
         rollouts = execute_paths(modulator, kind, plans, plan_seed, env_seed, advance)
         spectrum = Spectrum.of(rollouts)
         means = spectrum.costs.mean(axis=1)
@@ -62,7 +64,7 @@ def evaluate_spectrum(
     return {
         "env": world(kind),
         "scene": place.scene.to_dict(),
-        "observer": modulator.config.observer.to_dict(),
+        "observer": observer.to_dict(),
         "spacing": place.spacing,
         "levels": levels,
         "targets": targets,
@@ -76,7 +78,7 @@ class Spectrum:
     Attributes:
         scene: the scene.
         target: index of the intended goal.
-        field: the observer.
+        field: of the observer.
         levels: ℓ `(L,)`, rising.
         motions: one of each level, `(T, D)` [m].
         costs: `(L, N)`, L_p of the paper's Table I, of N motions of each level.
@@ -85,7 +87,7 @@ class Spectrum:
 
     scene: Scene
     target: int
-    field: InformationPotentialField
+    field: Field
     levels: Array
     motions: list[Array]
     costs: Array
@@ -120,7 +122,7 @@ class Spectrum:
         """The spectrum toward target R or G in the result of `evaluate_spectrum` or its JSON."""
         scene, values = Scene.from_dict(result["scene"]), result["targets"][letter]
         return cls(
-            scene, TARGETS[letter], Observer(**result["observer"]).field(scene),
+            scene, TARGETS[letter], Observer.from_dict(result["observer"]).field(scene),
             np.array(result["levels"]), [np.array(s) for s in values["states"]],
             np.array(values["costs"]), np.array(values["angles"]),
         )  # fmt: skip

@@ -154,8 +154,10 @@ class Observer:
 
     @classmethod
     def load(cls, path: str | Path) -> Observer:
-        """Read an observer from YAML or JSON."""
+        """Read an observer from YAML or JSON, or that of a scene file (key `observer`)."""
         content = read_document(path, "observer file", InvalidInputError)
+        if isinstance(content, dict) and "start" in content:
+            content = content.get("observer", {})
         try:
             return cls.from_dict(content)
         except InvalidInputError as cause:

@@ -56,8 +56,7 @@ class _NetworkConfig:
         names = {f.name for f in fields(cls)}
         if set(content) != names:
             raise CheckpointError(
-                f"a {cls.__name__} has the settings {sorted(names)}; "
-                f"missing or unknown: {sorted(names ^ set(content))}"
+                f"settings missing or unknown: {', '.join(sorted(names ^ set(content)))}"
             )
         values = {**content, "channels": tuple(content["channels"])}
         if "observer" in names:

@@ -16,11 +16,14 @@ from ..errors import CheckpointError, InvalidInputError
 from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
+from ..motion.archive import Archive, scene_archive
+from ..motion.bezier import bezier_trajectories
 from ..motion.path import straight_waypoints
 from ..scene import Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
 from .path_diffuser import PathDiffuser
+from .projection import project
 
 _RETRIES = 3
 _STEP_BACK = 0.03
@@ -110,6 +113,35 @@ class PathSampler:
         self.model, self.sample, self.name = model, sample, name
         self.config = model.config
 
+    def plan(
+        self, tasks: Tasks, seed: int, sampling: Sampling, *, exact: bool, refine: bool
+    ) -> tuple[Array, np.ndarray]:
+        """A path for each task, out of contact and with its score kept, or met if `exact`.
+
+        Returns:
+            `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for a path that
+            could not be brought out of contact, `(B,)` bool.
+        """
+        replaced = np.zeros(len(tasks), dtype=bool)
+        if not refine:
+            if exact:
+                raise InvalidInputError("exact plans are refined: leave refine as it is")
+            return self.draw(tasks, seed, sampling), replaced
+        paths = self.draw_with_retries(tasks, seed, sampling)
+        for row, scene, target, observer in tasks.rows():
+            wanted = shortest = None
+            if exact:
+                archive = scene_archive(scene, target, observer)
+                wanted, shortest = archive.score_of(tasks.levels[row]), archive.shortest_length
+            paths[row] = project(paths[row], scene, target, observer, wanted, shortest)[0]
+        touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
+        replaced[touching] = True
+        for i in touching:
+            one = tasks.of(np.array([i]))
+            archive = scene_archive(one.scenes[0], one.targets[0], one.observers[0])
+            paths[i] = nearest_path(archive, float(one.levels[0]))
+        return paths, replaced
+
     @torch.inference_mode()
     def draw(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
         """A path for each task.
@@ -173,3 +205,16 @@ class PathSampler:
             costs = _LEAST_COST - observer.score(curves, scene, target)
             ratio[row] = costs[:-1] / costs[-1]
         return np.flatnonzero(np.log(ratio) * np.sign(tasks.levels) > _TOLERANCE)
+
+
+def nearest_path(archive: Archive, level: float) -> Array:
+    """The feasible path `(K + 2, D)` [m] of the elite whose label is nearest."""
+    scene, target = archive.scene, archive.target
+    order = np.argsort(np.abs(archive.labels - level), kind="stable")
+    for few in np.array_split(order, max(1, len(order) // 64)):
+        paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
+        good = np.flatnonzero(scene.feasible(path_curve(paths, _FINE), target))
+        if len(good):
+            return paths[good[0]]
+    shortest = bezier_trajectories(archive.anchor[None], NUM_WAYPOINTS + 2)
+    return project(shortest, scene, target, archive.observer)[0][0]

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from ..errors import CheckpointError, TrainingError
+from ..errors import CheckpointError, InvalidInputError, TrainingError
 from ..files import at_home, file_hash, read_text, write_json
 from .checkpoint import load_state, load_tensors, save_tensors
 from .configuration import GoalPolicyConfig, PathDiffuserConfig, PathPolicyConfig
@@ -115,7 +115,7 @@ def _read_config(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads(text)
         if content.pop("format") != _FORMAT:
-            raise CheckpointError(f"{folder} has another format than {_FORMAT}")
+            raise _of_another_version(folder, f"its format is not {_FORMAT}")
         for name, entry in content.items():
             if name not in _STAGES or set(entry) != {"config", "sha256", "training"}:
                 raise CheckpointError(
@@ -128,15 +128,23 @@ def _read_config(folder: Path) -> dict[str, Any]:
     return content
 
 
+def _of_another_version(folder: Path, reason: str) -> CheckpointError:
+    """The error for weights that this version does not read."""
+    return CheckpointError(
+        f"the weights in {folder} are of another version of legibility ({reason}): use those that "
+        "came with the package, or train anew with `legibility data` and `legibility train`"
+    )
+
+
 def _load_stage(folder: Path, name: str, entry: dict[str, Any]) -> Any:
     config_type, network = _STAGES[name]
     try:
         config = config_type.from_dict(entry["config"])
         with torch.device("cpu"):  # in float32 on the CPU, whatever PyTorch's defaults
             model = network(config).float()
-    except CheckpointError:
-        raise
-    except (ValueError, KeyError, TypeError, RuntimeError) as cause:
+    except (CheckpointError, InvalidInputError) as cause:
+        raise _of_another_version(folder, str(cause)) from cause
+    except (KeyError, TypeError, ValueError, RuntimeError) as cause:
         raise CheckpointError(f"{folder} has no model configuration: {cause!r}") from cause
     weights = folder / f"{name}.safetensors"
     load_state(model, load_tensors(weights)[0], weights)

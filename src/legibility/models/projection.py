@@ -8,22 +8,18 @@ of the score, excess length, jerk, and the change of the second differences, whi
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS, spline_matrix
-from ..frame import Frame, axes_along
-from ..intent.field import Field
+from ..frame import axes_along
 from ..intent.observer import Observer
-from ..obstacles import Solids
 from ..scene import Scene
+from .room import CURVE_POINTS, PAD, SLACK, Room
 
-_POINTS, _PARTS = 46, 8  # points of a curve, and the parts of a step between two where it is near
-_PAD, _SLACK = 0.02, 1e-3  # clearance aimed at and needed, where start and goal allow it
-_RISE = 0.3  # by which the pad grows over progress from an end
+_PARTS = 8  # of a step between two points of a curve, where it is near to something
 _CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 30.0, 1000.0, 1.0  # weights of squares
 _GROWTH = 1.7  # of the weight of contact from step to step
 _STEPS = 10
@@ -61,7 +57,7 @@ def project(
     Returns:
         `(B, K + 2, D)` [m] and `(B,)` bool.
     """
-    room = _Room.of(scene, target, observer)
+    room = Room.of(scene, target, observer)
     task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
     rows = np.arange(len(paths))
     best, merit = _descend(task, task.drawn, rows, task.first)
@@ -85,114 +81,6 @@ def project(
     result = paths.copy()
     result[moved, 1:-1] = best[moved, 1:-1] * room.scale + scene.start
     return result, merit < _TOUCHING
-
-
-@dataclass(frozen=True, eq=False)
-class _Room:
-    """A scene in lengths of the straight line, its start at the origin.
-
-    Attributes:
-        scale: length of the straight line [m].
-        solids: all that must not be touched.
-        bounds: centres `(O, D)` and radii `(O,)` of balls around them.
-        field: the observer's.
-        target: index of the intended goal.
-        workspace: `(2, D)`.
-        low, high: `(T, D)`, walls that leave the pad free.
-        pad: `(T,)`, distance aimed at from solids.
-        slack: `(T,)`, least distance from everything.
-        straight: whether the straight line is free.
-    """
-
-    scale: float
-    solids: Solids
-    bounds: tuple[Array, Array]
-    field: Field
-    target: int
-    workspace: Array
-    low: Array
-    high: Array
-    pad: Array
-    slack: Array
-    straight: bool
-
-    @classmethod
-    @functools.lru_cache(maxsize=64)
-    def of(cls, scene: Scene, target: int, observer: Observer) -> _Room:
-        scale = Frame.of(scene, target).scale
-        solids, field = scene.solids(target), observer.field(scene)
-        vertices = solids.vertices
-        solids = Solids(
-            (solids.centers - scene.start) / scale,
-            solids.axes,
-            solids.halves / scale,
-            solids.radii / scale,
-            (vertices - scene.start) / scale if vertices.shape[-3] else vertices,
-            solids.polygon_radii / scale,
-        )
-        field = Field(
-            (field.goals - scene.start) / scale,
-            field.precision * scale**2,
-            field.beta * scale,
-            field.log_prior,
-        )
-        low, high = workspace = (scene.workspace - scene.start) / scale
-        ends = np.stack([np.zeros(scene.dim), field.goals[target]])
-        progress = np.linspace(0, 1, _POINTS)
-        rise = _RISE * np.stack([progress, 1 - progress])[..., None]
-
-        def pad(margin: Array) -> Array:
-            """`(T, …)`, given that of the two ends, `(2, …)`."""
-            return np.minimum(np.maximum(margin, 0)[:, None] + rise, _PAD).min(0)
-
-        below, above = pad(ends - low), pad(high - ends)
-        around = pad(solids.distance(ends)[:, None])[:, 0]
-        least = np.minimum(np.minimum(below, above).min(-1), around)
-        slack = np.minimum(_SLACK, least / 2) - 1e-9 * scene.diagonal / scale
-        line = progress[:, None] * ends[1]
-        straight = bool((solids.distance(line) >= slack).all())
-        return cls(
-            scale, solids, _balls_around(solids), field, target, workspace,
-            low + below, high - above, around, slack, straight,
-        )  # fmt: skip
-
-    def to_walls(self, points: Array) -> Array:
-        """Distance `(...)` of points `(..., D)` from the nearest wall, negative beyond it."""
-        low, high = self.workspace
-        return np.minimum(points - low, high - points).min(-1)
-
-    def nearest(self, points: Array, reach: float) -> tuple[Array, Array]:
-        """Distance `(N,)` of `points (N, D)` from solids, and its gradient `(N, D)`.
-
-        Beyond `reach` a smaller distance, and no gradient.
-        """
-        centers, radii = self.bounds
-        squares = np.einsum("nd,nd->n", points, points)
-        apart = squares - 2 * (centers @ points.T) + (centers * centers).sum(-1)[:, None]
-        distance = (np.sqrt(np.maximum(apart, 0)) - radii[:, None]).min(0)
-        normal = np.zeros_like(points)
-        near = np.flatnonzero(distance < reach)
-        if len(near):
-            distance[near], normal[near] = self.solids.nearest(points[near])
-        return distance, normal
-
-    def clearance(self, points: Array) -> Array:
-        """Distance `(...)` of points `(..., D)` from everything."""
-        walls = self.to_walls(points)
-        return np.minimum(
-            walls, self.solids.distance(points.reshape(-1, points.shape[-1])).reshape(walls.shape)
-        )
-
-
-def _balls_around(solids: Solids) -> tuple[Array, Array]:
-    """Centres `(O, D)` and radii `(O,)` of balls that hold each solid."""
-    radii = np.sqrt((solids.halves**2).sum(-1)) + solids.radii
-    if not solids.vertices.shape[-3]:
-        return solids.centers, radii
-    middles = solids.vertices.mean(-2)
-    around = np.linalg.norm(solids.vertices - middles[:, None], axis=-1).max(-1)
-    around += solids.polygon_radii
-    return np.concatenate([solids.centers, middles]), np.concatenate([radii, around])
 
 
 class _Curves(NamedTuple):
@@ -231,7 +119,7 @@ class _Task:
 
     def __init__(
         self,
-        room: _Room,
+        room: Room,
         drawn: Array,
         wanted: Array | None,
         observer: Observer,
@@ -263,7 +151,7 @@ class _Task:
         points = matrices.curve @ paths
         cost, length, slope, tangents = self._cost(points)
         # Near enough for contact between two points, or for the pad.
-        reach = max(_PAD, 2 * length.max() / _POINTS)
+        reach = max(PAD, 2 * length.max() / CURVE_POINTS)
         gap, normal = room.nearest(points.reshape(-1, points.shape[-1]), reach)
         excess = np.log(length) - self.longest[rows]
         stretch = np.zeros((len(paths), size))
@@ -330,7 +218,7 @@ class _Task:
             # Between two points, where they are so near to something that the curve could touch it.
             steps = curves.points[:, 1:] - curves.points[:, :-1]
             apart = np.sqrt(np.einsum("btd,btd->bt", steps, steps))
-            near = clear[:, 1:] + clear[:, :-1] < 1.1 * apart + 2 * _SLACK
+            near = clear[:, 1:] + clear[:, :-1] < 1.1 * apart + 2 * SLACK
             row, step = np.nonzero(near & check[:, None])
             if len(row):
                 between = _matrices(paths.shape[-1]).between[step] @ paths[row]
@@ -361,7 +249,7 @@ class _Task:
         push = np.clip(points, room.low, room.high) - points
         metric[..., range(dim), range(dim)] += push != 0
         push -= active * gap[..., None]
-        dense = metric.reshape(len(paths), _POINTS, -1).swapaxes(1, 2) @ matrices.outer
+        dense = metric.reshape(len(paths), CURVE_POINTS, -1).swapaxes(1, 2) @ matrices.outer
         dense = dense.reshape(-1, dim, dim, NUM_WAYPOINTS, NUM_WAYPOINTS)
         system += contact * dense.transpose(0, 3, 1, 4, 2).reshape(-1, size, size)
         force += contact * (matrices.spline.T @ push).reshape(-1, size)
@@ -411,7 +299,7 @@ def _descend(
     return best, merit
 
 
-def _ways_around(room: _Room, paths: Array) -> Array:
+def _ways_around(room: Room, paths: Array) -> Array:
     """`(W, B, K + 2, D)`: `paths (B, K + 2, D)` pushed sideways out of contact in several ways.
 
     First each stretch in contact by its shortest way out, then all of them to one side and the
@@ -431,15 +319,15 @@ def _ways_around(room: _Room, paths: Array) -> Array:
     out = _SWEEP[first] * touching[..., None]
     # What a way costs to a whole stretch.
     begins = touching & ~np.pad(touching, ((0, 0), (1, 0)))[:, :-1]
-    stretch = np.cumsum(begins, axis=1) + np.arange(len(paths))[:, None] * _POINTS
-    cost = np.zeros((len(paths) * _POINTS + 1, sides.shape[2]))
+    stretch = np.cumsum(begins, axis=1) + np.arange(len(paths))[:, None] * CURVE_POINTS
+    cost = np.zeros((len(paths) * CURVE_POINTS + 1, sides.shape[2]))
     np.add.at(cost, stretch, out**2 + (first == last) * touching[..., None])
     shortest = np.argmin(cost, axis=1)[stretch]
     ways = []
     for way in (shortest, *range(sides.shape[2])):
         way = np.broadcast_to(way, stretch.shape)[..., None]
         normal = np.take_along_axis(sides, way[..., None], 2)[:, :, 0] * touching[..., None]
-        rows = np.einsum("tk,btd->btkd", matrices.spline, normal).reshape(-1, _POINTS, size)
+        rows = np.einsum("tk,btd->btkd", matrices.spline, normal).reshape(-1, CURVE_POINTS, size)
         system = matrices.stiffness + _CONTACT * rows.swapaxes(1, 2) @ rows
         right = _CONTACT * (rows.swapaxes(1, 2) @ np.take_along_axis(out, way, 2))
         moved = paths.copy()
@@ -474,11 +362,11 @@ class _Matrices(NamedTuple):
 
 @functools.lru_cache(maxsize=2)
 def _matrices(dim: int) -> _Matrices:
-    fine = spline_matrix(NUM_WAYPOINTS + 2, _PARTS * (_POINTS - 1) + 1)
+    fine = spline_matrix(NUM_WAYPOINTS + 2, _PARTS * (CURVE_POINTS - 1) + 1)
     curve = np.ascontiguousarray(fine[::_PARTS])
-    between = fine[:-1].reshape(_POINTS - 1, _PARTS, -1)[:, 1:]
+    between = fine[:-1].reshape(CURVE_POINTS - 1, _PARTS, -1)[:, 1:]
     spline = np.ascontiguousarray(curve[:, 1:-1])
-    outer = (spline[:, :, None] * spline[:, None, :]).reshape(_POINTS, -1)
+    outer = (spline[:, :, None] * spline[:, None, :]).reshape(CURVE_POINTS, -1)
     second, third = (np.diff(np.eye(NUM_WAYPOINTS + 2), n=n, axis=0) for n in (2, 3))
     shape = (second.T @ second)[1:-1]
     smooth = shape + _JERK * (third.T @ third)[1:-1]

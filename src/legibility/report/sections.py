@@ -17,8 +17,9 @@ NOTES = (
     "archive leaves: the error of its labels, and the correlation of labels with that noise, which "
     "stays below 1 where samples share a level. The deviation is the mean distance from the curve "
     "followed, over the length of the first curve. Robots have hidden gains and lags; "
-    "PandaGymBlockReach (panda-gym) is never used in training. The bench times control steps and "
-    "`plan_one_core_ms` on one core.",
+    "PandaGymBlockReach (panda-gym) is never used in training. The bench times control steps, "
+    "`plan_one_core_ms` and `plan_obstacles_ms` on one core, the last, if exact, in scenes whose "
+    "archive is there.",
     "Paths come in three modes: bare, as the network draws them; quick, the default, moved out of "
     "contact at the score that was drawn; exact, at the score that the archive gives ℓ. The judge "
     "is always another archive than that. Curves wave if they turn 0.5 rad more than the archive's "
@@ -37,7 +38,7 @@ NOTES = (
 
 _ARROWS = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
-_BENCH_CONDITIONS = ("batch", "goals", "dim", "precision")
+_BENCH_CONDITIONS = ("mode", "batch", "goals", "dim", "precision")
 _VIOLATIONS = {
     "states_outside": "states outside the workspace",
     "actions_not_finite": "actions that were not finite",

@@ -91,6 +91,7 @@ class DistillationConfig(PathTrainingConfig):
     steps: int = 4000
     learning_rate: float = 5e-4
     dropout: float = 0.0
+    contact_weight: float = 60.0
     sampling_steps: int = 1
     pairs: int = 24
     ends: float = 0.2
