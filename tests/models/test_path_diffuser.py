@@ -64,8 +64,11 @@ class TestConfig:
         [
             PathDiffuserConfig(),
             PathDiffuserConfig(
-                dim=3, observer=Observer(alpha=1.0, detour=2.0, label="rank", prior=(1, 2)),
-                field=False, guidance=0.5, **TINY
+                dim=3,
+                observer=Observer(alpha=1.0, detour=2.0, label="rank", prior=(1, 2)),
+                field=False,
+                guidance=0.5,
+                **TINY,
             ),
         ],
         ids=str,
