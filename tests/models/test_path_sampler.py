@@ -137,13 +137,13 @@ class TestRetries:
         sampler.draw_with_retries(tasks(1.0, BARRED), 0, PLAIN)
         assert len(script.levels) == 1
 
-    def test_each_of_several_scenes_has_its_own_observer(self):
-        """To the eyes of who expects the other goal anyway, hardly anything is legible."""
-        observers = [lg.Observer(), lg.Observer(prior=(1e-6, 1)), lg.Observer()]
-        sampler, script = scripted([0.4, 0.4, -0.4], [0.4])
-        each = Tasks([SCENE] * 3, [0] * 3, observers, np.array([1.0, 1.0, 1.0]))
-        sampler.draw_with_retries(each, 0, PLAIN)
-        assert [len(level) for level in script.levels] == [3, 1]
+    def test_each_row_is_judged_in_its_own_scene(self):
+        """What leads away from the other goal for one target leads toward it for the other."""
+        sampler, script = scripted([0.4, 0.4], -0.4)
+        each = Tasks([SCENE] * 2, [0, 1], [lg.Observer()] * 2, np.array([1.0, 1.0]))
+        paths = sampler.draw_with_retries(each, 0, PLAIN)
+        assert [len(level) for level in script.levels] == [2, 1]
+        np.testing.assert_allclose(paths[0], through(0.4), atol=1e-6)
 
 
 class TestContact:
