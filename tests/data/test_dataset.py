@@ -16,14 +16,21 @@ import legibility as lg
 from legibility.curves import NUM_WAYPOINTS, arc_length, path_curve
 from legibility.data import dataset
 from legibility.data.configuration import DatasetConfig
-from legibility.data.dataset import LABEL_KNOTS, Dataset, generate, select, shard_names
+from legibility.data.dataset import LABEL_KNOTS, Choice, Dataset, generate, shard_names
 from legibility.errors import DatasetError, InvalidInputError, OutputError
 from legibility.intent.metrics import SCORE_POINTS
 from legibility.motion.archive import build_archive
 
 SOURCE = str(Path(lg.__file__).parents[1])
-TINY = DatasetConfig(scenes=6, cells=8, per_scene=9)
+TINY = DatasetConfig(scenes=6, views=2, cells=6, per_scene=9, candidates=4096)
 """Two shards where a shard is four scenes."""
+SCRIPT = """
+import json, sys
+from legibility.data import dataset
+dataset.SHARD = 4
+config = dataset.DatasetConfig.from_dict(json.loads(sys.argv[2]))
+dataset.generate(config, sys.argv[1])
+"""
 SHARDS = ["train-00000.parquet", "train-00001.parquet"]
 
 
@@ -59,18 +66,31 @@ def copy(tiny, tmp_path, small_shards):
     return tmp_path
 
 
-@pytest.fixture(scope="module", params=[(2, "anchored"), (2, "rank"), (3, "anchored")], ids=str)
+@pytest.fixture(
+    scope="module",
+    params=[(2, "anchored", "dragan"), (2, "rank", "paper"), (3, "anchored", "all")],
+    ids=str,
+)
 def data(request, tmp_path_factory):
-    dim, label = request.param
+    dim, label, regime = request.param
     config = DatasetConfig(
-        dim=dim, scenes=5, cells=24 if dim == 2 else 10, per_scene=65,
-        observer=lg.Observer(label=label), seed=4,
+        dim=dim, scenes=3, views=2, cells=20 if dim == 2 else 9, per_scene=65, regime=regime,
+        candidates=16_384, observer=lg.Observer(label=label), seed=4,
     )  # fmt: skip
     return generate(config, tmp_path_factory.mktemp("data"))
 
 
-def archive_of(data, index):
-    return data.config.archive(index, data.config.observer, data.config.cells)
+@pytest.fixture(scope="module")
+def archives(data):
+    """That of each row of `data`."""
+    config = data.config
+    found = [
+        config.archive(i, config.observer, cells=config.cells, max_candidates=config.candidates)
+        for i in range(config.scenes)
+    ]
+    return [
+        found[row // config.views].seen_by(observer) for row, observer in enumerate(data.observers)
+    ]
 
 
 def spoil_manifest(folder, **changes):
@@ -85,15 +105,11 @@ class TestSameBytes:
         assert hashes(tmp_path) == hashes(tiny)
 
     def test_for_any_number_of_threads(self, tiny, tmp_path):
-        script = (
-            "import sys; from legibility.data import dataset; dataset.SHARD = 4\n"
-            "dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])"
-        )
         for threads in ("1", "2"):
             folder = tmp_path / threads
             environment = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), threads)
             subprocess.run(
-                [sys.executable, "-c", script, str(folder)],
+                [sys.executable, "-c", SCRIPT, str(folder), json.dumps(TINY.to_dict())],
                 env={**os.environ, "PYTHONPATH": SOURCE, **environment},
                 check=True,
             )
@@ -115,11 +131,10 @@ class TestSameBytes:
 
     @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
     def test_after_a_kill_in_the_middle_of_a_shard(self, tiny, tmp_path, small_shards):
-        script = """
-import os, signal, sys
+        kill = """
+import os, signal
 from legibility import files
-from legibility.data import dataset, shards
-dataset.SHARD = 4
+from legibility.data import shards
 def half(path, content):
     if "00001" not in path.name:
         return files.write_bytes(path, content)
@@ -127,11 +142,10 @@ def half(path, content):
         temporary.write_bytes(content[: len(content) // 2])
         os.kill(os.getpid(), signal.SIGKILL)
 shards.write_bytes = half
-dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv[1])
 """
         folder = tmp_path / "killed"
         run = subprocess.run(
-            [sys.executable, "-c", script, str(folder)],
+            [sys.executable, "-c", kill + SCRIPT, str(folder), json.dumps(TINY.to_dict())],
             env={**os.environ, "PYTHONPATH": SOURCE},
             capture_output=True,
             text=True,
@@ -178,7 +192,16 @@ dataset.generate(dataset.DatasetConfig(scenes=6, cells=8, per_scene=9), sys.argv
 
 class TestRefuses:
     @pytest.mark.parametrize(
-        "change", [{"seed": 1}, {"scenes": 7}, {"stream": "validation"}, {"efficiency": 0.2}]
+        "change",
+        [
+            {"seed": 1},
+            {"scenes": 7},
+            {"stream": "validation"},
+            {"efficiency": 0.2},
+            {"regime": "all"},
+            {"views": 1},
+            {"candidates": 5000},
+        ],
     )
     @pytest.mark.parametrize("complete", [True, False])
     def test_a_folder_of_another_configuration(self, copy, change, complete):
@@ -243,6 +266,8 @@ class TestRefuses:
             {"config": {**TINY.to_dict(), "scenes": 5}},
             {"config": {**TINY.to_dict(), "dim": 3}},
             {"config": {**TINY.to_dict(), "per_scene": 8}},
+            {"config": {**TINY.to_dict(), "views": 3}},
+            {"config": {**TINY.to_dict(), "regime": "home"}},
         ],
         ids=str,
     )
@@ -272,8 +297,9 @@ def test_shard_names():
 
 class TestContent:
     def test_shapes(self, data):
-        size, num, dim = data.config.scenes, data.config.per_scene, data.config.dim
-        assert len(data.scenes) == size
+        config = data.config
+        size, num, dim = config.scenes * config.views, config.per_scene, config.dim
+        assert len(data.scenes) == len(data.observers) == size
         assert data.controls.shape == (size, num, 4, dim)
         assert data.waypoints.shape == (size, num, NUM_WAYPOINTS, dim)
         assert data.scores.shape == data.labels.shape == (size, num)
@@ -282,95 +308,82 @@ class TestContent:
         for values in data.summary.values():
             assert values.shape == (size,)
 
-    def test_loads_as_it_was_made(self, data, tmp_path):
-        again = generate(data.config, tmp_path)
-        loaded = Dataset.load(tmp_path)
-        for other in (again, loaded):
-            assert other.config == data.config
-            assert other.digest == data.digest
-            assert other.scenes == data.scenes
-            for name in ("controls", "waypoints", "scores", "labels", "score_at_label"):
-                np.testing.assert_array_equal(getattr(other, name), getattr(data, name))
-            for name, values in data.summary.items():
-                np.testing.assert_array_equal(other.summary[name], values)
-
-    def test_scenes_and_summary_are_those_of_the_configuration(self, data):
-        for index, scene in enumerate(data.scenes):
+    def test_views_share_the_scene_and_the_archive(self, data, archives):
+        for row, (scene, observer, archive) in enumerate(
+            zip(data.scenes, data.observers, archives, strict=True)
+        ):
+            index, view = divmod(row, data.config.views)
+            assert scene is data.scenes[index * data.config.views]
             assert scene == data.config.scene(index)
-            archive = archive_of(data, index)
-            found = {name: values[index] for name, values in data.summary.items()}
+            assert observer == data.config.observer_of(index, scene, data.config.observer, view)
+            found = {name: values[row] for name, values in data.summary.items()}
             assert found == {
                 "elites": len(archive),
                 "candidates": archive.num_candidates,
                 "coverage": archive.coverage,
-                "straight_score": archive.straight_score,
+                "anchor_score": archive.anchor_score,
             }
-            np.testing.assert_array_equal(data.score_at_label[index], archive.score_of(LABEL_KNOTS))
+            np.testing.assert_array_equal(data.score_at_label[row], archive.score_of(LABEL_KNOTS))
 
-    def curves(self, data, index):
-        scene, waypoints = data.scenes[index], data.waypoints[index].astype(np.float64)
+    def curves(self, data, row):
+        scene, waypoints = data.scenes[row], data.waypoints[row].astype(np.float64)
         ends = [np.tile(end, (len(waypoints), 1, 1)) for end in (scene.start, scene.goals[0])]
         return path_curve(np.concatenate([ends[0], waypoints, ends[1]], axis=1), SCORE_POINTS)
 
-    def test_labels_are_those_of_the_curve_through_the_waypoints(self, data):
-        for index in range(data.config.scenes):
-            archive = archive_of(data, index)
-            scores = lg.metrics.legibility_score(
-                self.curves(data, index), archive.field, 0, data.config.observer.alpha
-            )
-            np.testing.assert_allclose(data.scores[index], scores, rtol=1e-4, atol=1e-5)
-            np.testing.assert_allclose(data.labels[index], archive.label_of(scores), atol=5e-3)
+    def test_labels_are_those_of_the_curve_through_the_waypoints(self, data, archives):
+        for row, (scene, observer) in enumerate(zip(data.scenes, data.observers, strict=True)):
+            scores = observer.score(self.curves(data, row), scene, 0)
+            np.testing.assert_allclose(data.scores[row], scores, rtol=1e-3, atol=1e-5)
+            knots = LABEL_KNOTS, data.score_at_label[row]
+            spans = np.diff(knots[1]) > 1e-4 * np.abs(knots[1][:-1])
+            if spans.all():  # elsewhere float32 is too coarse for the label
+                labels = archives[row].label_of(scores)
+                np.testing.assert_allclose(data.labels[row], labels, atol=0.02)
 
-    def test_curves_stay_inside_the_workspace(self, data):
-        for index, scene in enumerate(data.scenes):
-            assert scene.contains(self.curves(data, index), tolerance=1e-6).all()
+    def test_curves_keep_clear_of_everything(self, data):
+        for row, scene in enumerate(data.scenes):
+            margin = scene.margin_at(self.curves(data, row), 0)
+            assert (margin >= -1e-6 * scene.diagonal).all()
 
     def test_waypoints_lie_on_the_beziers_at_equal_arc_length(self, data):
-        for index, scene in enumerate(data.scenes):
-            ends = data.controls[index][:, [0, -1]]
-            np.testing.assert_allclose(ends[:, 0], np.tile(scene.start, (len(ends), 1)), atol=1e-6)
-            np.testing.assert_allclose(
-                ends[:, 1], np.tile(scene.goals[0], (len(ends), 1)), atol=1e-6
-            )
-            dense = dataset.bezier_trajectories(data.controls[index].astype(np.float64), 2001)
+        for row, scene in enumerate(data.scenes):
+            ends = data.controls[row][:, [0, -1]]
+            wanted = np.stack([scene.start, scene.goals[0]])
+            np.testing.assert_allclose(ends, np.tile(wanted, (len(ends), 1, 1)), rtol=1e-6)
+            dense = dataset.bezier_trajectories(data.controls[row].astype(np.float64), 2001)
             at = np.linspace(0, 2000, NUM_WAYPOINTS + 2).round().astype(int)[1:-1]
-            gaps = np.linalg.norm(dense[:, at] - data.waypoints[index], axis=-1)
+            gaps = np.linalg.norm(dense[:, at] - data.waypoints[row], axis=-1)
             assert (gaps.max(1) < 0.002 * arc_length(dense)).all()
 
     def test_labels_are_flat(self, data):
         wanted = np.linspace(-1, 1, data.config.per_scene)
-        assert np.abs(data.labels - wanted).mean() < 0.02
-        assert np.abs(data.labels - wanted).max() < 0.15
+        assert np.abs(data.labels - wanted).mean() < 0.03
         shares = np.histogram(data.labels, bins=8, range=(-1, 1))[0] / data.labels.size
-        assert (np.abs(shares - 1 / 8) < 0.02).all()
+        assert (np.abs(shares - 1 / 8) < 0.03).all()
 
-    def test_ends_of_the_dial_are_there(self, data):
-        assert (data.labels[:, 0] < -0.9).all()
-        assert (data.labels[:, -1] > 0.9).all()
-
-    def test_level_zero_is_the_straight_line(self, data):
+    def test_level_zero_is_the_straight_line_where_it_is_free(self, data, archives):
         if data.config.observer.label == "rank":
             return  # its ℓ = 0 is the median
         middle = data.config.per_scene // 2
-        for index, scene in enumerate(data.scenes):
-            straight = np.linspace(scene.start, scene.goals[0], NUM_WAYPOINTS + 2)[1:-1]
-            length = np.linalg.norm(scene.goals[0] - scene.start)
-            gap = np.linalg.norm(data.waypoints[index, middle] - straight, axis=-1).max()
-            assert gap < 0.1 * length  # at most 0.033 over six seeds and two instruction sets
-            curve = self.curves(data, index)[middle]
-            assert arc_length(curve) < 1.002 * length
+        for row, scene in enumerate(data.scenes):
+            if archives[row].blocked:
+                continue
+            curve = self.curves(data, row)[middle]
+            assert arc_length(curve) < 1.01 * np.linalg.norm(scene.goals[0] - scene.start)
 
-    def test_another_set_has_another_digest(self, tiny, tmp_path, small_shards):
-        other = generate(dataclasses.replace(TINY, seed=9), tmp_path)
+    def test_another_set_has_another_digest(self, tiny, tmp_path):
+        other = generate(dataclasses.replace(TINY, scenes=1, seed=9), tmp_path)
         assert other.digest != Dataset.load(tiny).digest
 
 
 class TestFirst:
     def test_is_the_dataset_of_as_many_scenes(self, tiny, tmp_path, small_shards):
-        found = Dataset.load(tiny).first(5)
-        whole = generate(dataclasses.replace(TINY, scenes=5), tmp_path)
-        assert (found.config, found.scenes) == (whole.config, whole.scenes)
-        for field in dataclasses.fields(Dataset)[3:-1]:
+        found = Dataset.load(tiny).first(2)
+        whole = generate(dataclasses.replace(TINY, scenes=2), tmp_path)
+        assert (found.config, found.scenes, found.observers) == (
+            whole.config, whole.scenes, whole.observers
+        )  # fmt: skip
+        for field in dataclasses.fields(Dataset)[4:-1]:
             np.testing.assert_array_equal(getattr(found, field.name), getattr(whole, field.name))
         assert found.summary.keys() == whole.summary.keys()
         for name, values in found.summary.items():
@@ -389,31 +402,61 @@ class TestFirst:
 
 
 class TestSelect:
+    SCENE = lg.Scene(
+        [0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[lg.Ball([0.4, 0.62], 0.08)]
+    )  # fmt: skip
+
     @pytest.fixture(scope="class")
     @staticmethod
     def archive():
-        return build_archive(lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]), cells=24)
+        return build_archive(TestSelect.SCENE, cells=20, max_candidates=8192)
+
+    @staticmethod
+    def select(archive, num, efficiency=0.1, seed=0, seen=None):
+        rng = np.random.default_rng(seed)
+        return Choice.of(archive).select(seen or archive, num, efficiency, rng)
 
     def test_reproducible(self, archive):
-        one, other = (select(archive, 17, 0.1, np.random.default_rng(0)) for _ in range(2))
+        one, other = (self.select(archive, 17) for _ in range(2))
         for name, values in one.items():
             np.testing.assert_array_equal(other[name], values)
+
+    @pytest.mark.parametrize("observer", [lg.Observer(), lg.Observer.paper(2)], ids=str)
+    def test_scores_and_labels_are_the_archives(self, archive, observer):
+        """Of the curve through the waypoints, for any observer; it keeps off the obstacle."""
+        seen = archive.seen_by(observer)
+        found = self.select(archive, 17, seen=seen)
+        ends = np.tile([self.SCENE.start, self.SCENE.goals[0]], (17, 1, 1))
+        paths = np.concatenate([ends[:, :1], found["waypoints"], ends[:, 1:]], axis=1)
+        curves = path_curve(paths, SCORE_POINTS)
+        assert self.SCENE.feasible(curves, 0).all()
+        np.testing.assert_allclose(observer.score(curves, self.SCENE, 0), found["scores"])
+        np.testing.assert_array_equal(seen.label_of(found["scores"]), found["labels"])
 
     def test_more_efficient_is_shorter(self, archive):
         lengths = []
         for efficiency in (0.01, 100.0):
-            found = select(archive, 65, efficiency, np.random.default_rng(0))
+            found = self.select(archive, 65, efficiency)
             curves = dataset.bezier_trajectories(found["controls"], 200)
             lengths.append(arc_length(curves).mean())
         assert lengths[0] < 0.97 * lengths[1]
 
     def test_labels_rise_with_the_level(self, archive):
-        labels = select(archive, 33, 0.1, np.random.default_rng(0))["labels"]
-        assert (np.diff(labels) > -0.02).all()
+        labels = self.select(archive, 33)["labels"]
+        assert (np.diff(labels) > -0.04).all()
 
     @pytest.mark.parametrize("cells", [2, 3])
     def test_of_a_tiny_archive(self, cells):
-        tiny = build_archive(lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]]), cells=cells)
-        found = select(tiny, 9, 0.1, np.random.default_rng(0))
+        tiny = build_archive(
+            self.SCENE, cells=cells, random_candidates=1024, max_candidates=1024
+        )  # fmt: skip
+        found = self.select(tiny, 9)
         assert found["labels"].shape == (9,)
-        assert (np.diff(found["labels"]) >= -1).all()
+        assert np.isfinite(found["waypoints"]).all()
+
+    def test_where_every_path_touches(self, archive, monkeypatch):
+        """The Béziers are free, the splines through eight of their points need not be."""
+        monkeypatch.setattr(
+            lg.Scene, "feasible", lambda scene, curves, target: np.zeros(len(curves), dtype=bool)
+        )
+        assert len(Choice.of(archive).paths) == len(archive)

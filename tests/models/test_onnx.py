@@ -11,6 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from legibility import Scene
+from legibility.curves import NUM_WAYPOINTS
+from legibility.data.rooms import random_observer, random_room
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import CheckpointError, InvalidInputError, MissingExtraError
 from legibility.models import onnx
@@ -93,24 +95,31 @@ def test_actions_are_the_same(pair, size):
         pair[1]._policy.act(observation, noise, policy.config.sampling_steps + 1)
 
 
-def test_a_path_diffuser_of_other_settings_is_exported(tmp_path):
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_path_diffuser_of_other_settings_is_exported(dim, tmp_path):
+    """And takes any number of distractors, obstacles and polygons, also none, and any observer."""
     runtime("onnxruntime", "onnxscript")
     torch.manual_seed(0)
-    changes = {"dim": 3, "channels": (8,), "sampling_steps": 2, "guidance": 0.7}
+    changes = {"dim": dim, "channels": (8,), "sampling_steps": 2, "guidance": 0.7}
     model = PathDiffuser(PathDiffuserConfig(**{**TINY, **changes})).eval()
     for parameter in model.parameters():
         torch.nn.init.normal_(parameter, std=0.2)
     model.spread.uniform_(0.5, 2)
     model.signal.copy_(noise_schedule(100))
-    dim = model.config.dim
-    scenes = [Scene.random(np.random.default_rng(i), dim=dim, num_goals=2 + i) for i in range(3)]
-    conditions, level = model.conditions(scenes, [0, 1, 2]), torch.tensor([-1.0, 0.2, 1])
-    noise = torch.randn(3, 8, dim)
-    expected = model.sample(conditions, level, noise)
     graph = onnx.load_graph(model, tmp_path)
     assert graph == (tmp_path / "path.onnx").read_bytes() == onnx.load_graph(model, tmp_path)
-    actual = onnx.OnnxPathDiffuser(model, graph).sample(conditions, level, noise)
-    torch.testing.assert_close(actual, expected, atol=1e-5, rtol=1e-5)
+    exported = onnx.OnnxPathDiffuser(model, graph)
+    level = torch.tensor([-1.0, 0.2, 1])
+    noise = torch.randn(3, NUM_WAYPOINTS, dim)
+    rng = np.random.default_rng(0)
+    for goals, obstacles in (((2, 2), (0, 0)), ((2, 5), (0, 4)), ((8, 8), (6, 8))):
+        scenes = [random_room(rng, dim=dim, goals=goals, obstacles=obstacles) for _ in range(3)]
+        observers = [random_observer(rng, scene, model.config.observer) for scene in scenes]
+        for number in (3, 1):  # a scene for each level, or one for all
+            conditions = model.conditions(scenes[:number], [0, 1, 0][:number], observers[:number])
+            expected = model.sample(conditions, level, noise)
+            actual = exported.sample(conditions, level, noise)
+            torch.testing.assert_close(actual, expected, atol=1e-4, rtol=1e-4)
 
 
 def test_a_policy_of_other_settings_is_exported_and_takes_any_weights():

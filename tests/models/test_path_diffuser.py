@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from legibility import InformationPotentialField, Observer, Scene
+from legibility import Ball, Observer, Scene
 from legibility.curves import NUM_WAYPOINTS
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.models.checkpoint import load_state
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import ddim, noise_schedule, sampling_timesteps
-from legibility.models.frame import DEPTH, Frame, vector_size
+from legibility.models.inputs import DEPTH, vector_size
 from legibility.models.path_diffuser import PathDiffuser
 
 TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
@@ -36,6 +36,19 @@ def scenes(dim, num=3):
     return [Scene.random(np.random.default_rng(seed), dim=dim) for seed in range(num)]
 
 
+def conditions_of(model, seen, targets=None, observer=None):
+    """Those of scenes for one observer; the target is goal 0 if not given."""
+    size = len(seen)
+    return model.conditions(seen, targets or [0] * size, [observer or Observer()] * size)
+
+
+def barred(scene):
+    """The scene with an obstacle in the middle of the straight line to goal 0."""
+    radius = 0.1 * np.linalg.norm(scene.goals[0] - scene.start)
+    ball = Ball((scene.start + scene.goals[0]) / 2, radius)
+    return Scene(scene.start, scene.goals, scene.workspace, [ball])
+
+
 def noise(size, dim, seed=0):
     return torch.randn(size, NUM_WAYPOINTS, dim, generator=torch.Generator().manual_seed(seed))
 
@@ -51,7 +64,11 @@ class TestConfig:
         [
             PathDiffuserConfig(),
             PathDiffuserConfig(
-                dim=3, observer=Observer(0.2, 1.0, "rank"), field=False, guidance=0.5, **TINY
+                dim=3,
+                observer=Observer(alpha=1.0, detour=2.0, label="rank", prior=(1, 2)),
+                field=False,
+                guidance=0.5,
+                **TINY,
             ),
         ],
         ids=str,
@@ -80,10 +97,6 @@ class TestConfig:
     def test_observer_is_one(self, observer):
         with pytest.raises(InvalidInputError, match=r"observer must be a legibility\.Observer"):
             PathDiffuserConfig(observer=observer)
-
-    def test_sigma_of_the_dimension_is_filled_in(self):
-        sigmas = {PathDiffuserConfig(dim=dim).observer.sigma for dim in (2, 3)}
-        assert sigmas == {0.15, 0.08}
 
 
 class TestLatent:
@@ -116,70 +129,52 @@ class TestLatent:
 
 class TestConditions:
     def test_shapes(self, dim):
-        found = make(dim).conditions(scenes(dim), [0, 1, 0])
+        found = conditions_of(make(dim), scenes(dim), [0, 1, 0])
         slices = 1 if dim == 2 else DEPTH
         most = max(scene.num_goals for scene in scenes(dim)) - 1
         assert found.image.shape == (3, 3 * slices, 16, 16)
         assert found.vector.shape == (3, vector_size(dim))
-        assert found.slopes.shape == (3, most, dim)
+        assert found.slopes.shape == found.distractors.shape == (3, most, dim)
         assert found.intercepts.shape == (3, most)
+        assert found.beta.shape == (3, 1, 1)
+        assert found.without_image().image.numel() == 0
         assert found.map(lambda x: x[1:]).image.equal(found.image[1:])
 
-    def test_are_those_of_each_scene(self, dim):
-        model = make(dim)
-        together = model.conditions(scenes(dim), [0, 1, 0])
-        alone = model.conditions(scenes(dim)[1:2], [1])
-        assert torch.equal(together.image[1], alone.image[0])
-        assert torch.equal(together.vector[1], alone.vector[0])
-
-    def points(self, dim):
-        """In the frame, about what a path may visit: `(3, 40, D)`."""
-        return torch.rand(3, 40, dim, generator=torch.Generator().manual_seed(1)) * 3 - 1
-
-    def test_potential_is_the_fields(self, dim):
-        targets = [0, 1, 0]
-        model, points = make(dim), self.points(dim)
-        found = model.conditions(scenes(dim), targets).potential(points)
-        for scene, target, inside, values in zip(scenes(dim), targets, points, found, strict=True):
-            field = InformationPotentialField(scene.goals, 0.15 if dim == 2 else 0.08)
-            world = Frame.of(scene, target).frame_to_world(inside.double().numpy())
-            np.testing.assert_allclose(values, field.potential(world, target), rtol=1e-3, atol=2e-4)
-
-    def test_gradient_is_the_potentials(self, dim):
-        conditions = make(dim).conditions(scenes(dim), [0, 1, 0])
-        points = self.points(dim).requires_grad_()
-        potential, gradient = conditions.potential_and_gradient(points)
-        (expected,) = torch.autograd.grad(potential.sum(), points)
-        torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-4)
-
-    def test_wall_distance_is_the_scenes(self, dim):
-        targets, points = [0, 1, 0], self.points(dim)
-        found = make(dim).conditions(scenes(dim), targets).wall_distance(points)
-        for scene, target, inside, values in zip(scenes(dim), targets, points, found, strict=True):
-            frame = Frame.of(scene, target)
-            world = frame.frame_to_world(inside.double().numpy())
-            low, high = scene.workspace
-            expected = np.minimum(world - low, high - world).min(-1) / frame.scale
-            np.testing.assert_allclose(values, expected, atol=1e-4)
-            assert ((values.numpy() > 1e-4) <= scene.contains(world)).all()
-
-    def test_a_scene_with_fewer_goals_is_filled_up_with_goals_that_do_not_count(self, dim):
-        few, many = (
-            Scene.random(np.random.default_rng(0), dim=dim, num_goals=num) for num in (2, 6)
-        )
-        model, points = make(dim), self.points(dim)[:1]
-        alone = model.conditions([few], [0]).potential(points)
-        beside = model.conditions([few, many], [0, 0]).map(lambda x: x[:1]).potential(points)
-        for one, other in zip(alone, beside, strict=True):
-            torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5)
+    @pytest.mark.parametrize("change", ["observer", "obstacle", "distractor"])
+    def test_what_is_seen_reaches_context_and_reading(self, dim, change):
+        """The first two scenes change; the contexts and the readings of these alone do."""
+        model, seen = make(dim), scenes(dim)
+        observers, others = [Observer()] * 3, list(seen)
+        if change == "observer":
+            observers = [Observer(beta=1.0 / s.size) for s in seen[:2]] + observers[2:]
+        elif change == "obstacle":
+            others[:2] = map(barred, seen[:2])
+        else:
+            middles = [(s.start + s.goals[0]) / 2 for s in seen]
+            others[:2] = [
+                Scene(s.start, [*s.goals, m], s.workspace)
+                for s, m in zip(seen[:2], middles, strict=False)
+            ]
+        one = conditions_of(model, seen)
+        two = model.conditions(others, [0, 0, 0], observers)
+        context, times = torch.randn(3, 16), torch.tensor([10, 50, 90])
+        with torch.no_grad():
+            pairs = [
+                (model.encode_scene(one), model.encode_scene(two)),
+                [model(noise(3, dim), times, context, c) for c in (one, two)],
+            ]
+        for a, b in pairs:
+            gaps = (a - b).abs().flatten(1).amax(1)
+            assert (gaps[:2] > 1e-5).all()
+            assert gaps[2] < 1e-4
 
     def test_a_number_of_targets_that_is_not_that_of_the_scenes(self):
         with pytest.raises(ValueError, match="zip"):
-            make().conditions(scenes(2), [0])
+            make().conditions(scenes(2), [0], [Observer()] * 3)
 
     def test_dropped_field_is_ignored(self):
         model = make()
-        conditions = model.conditions(scenes(2), [0, 0, 0])
+        conditions = conditions_of(model, scenes(2))
         other = dataclasses.replace(conditions, image=conditions.image + 1)
         for keep, same in (([False] * 3, [True] * 3), ([True, False, True], [False, True, False])):
             keep = torch.tensor(keep)
@@ -188,7 +183,7 @@ class TestConditions:
 
     def test_dropped_level_is_ignored(self):
         model = make()
-        scene = model.encode_scene(model.conditions(scenes(2), [0, 0, 0]))
+        scene = model.encode_scene(conditions_of(model, scenes(2)))
         keep = torch.tensor([False, True, False])
         one = model.encode(scene, torch.tensor([-1.0, -1, 0]), keep)
         two = model.encode(scene, torch.tensor([1.0, 1, 0.5]), keep)
@@ -196,8 +191,8 @@ class TestConditions:
 
     def test_dropped_field_is_not_read_along_the_path(self):
         model = make()
-        conditions = model.conditions(scenes(2), [0, 0, 0])
-        other = dataclasses.replace(conditions, slopes=-conditions.slopes)
+        conditions = conditions_of(model, scenes(2))
+        other = dataclasses.replace(conditions, intercepts=conditions.intercepts / 2 + 1)
         context, times = torch.randn(3, 16), torch.tensor([10, 50, 90])
         keep = torch.tensor([False, True, False])
         one = model(noise(3, 2), times, context, conditions, keep)
@@ -206,7 +201,7 @@ class TestConditions:
 
     def test_kept_is_the_default(self):
         model = make()
-        conditions = model.conditions(scenes(2), [0, 0, 0])
+        conditions = conditions_of(model, scenes(2))
         scene = model.encode_scene(conditions)
         assert torch.equal(scene, model.encode_scene(conditions, torch.ones(3, dtype=torch.bool)))
         level = torch.tensor([-1.0, 0, 1])
@@ -217,7 +212,7 @@ class TestConditions:
 class TestSample:
     def sample(self, model, level=(-1.0, 0.0, 1.0), seed=0, **options):
         dim = model.config.dim
-        conditions = model.conditions(scenes(dim), [0, 0, 0])
+        conditions = conditions_of(model, scenes(dim))
         return model.sample(conditions, torch.tensor(level), noise(3, dim, seed), **options)
 
     @pytest.mark.parametrize("channels", [(8,), (8, 16), (8, 16, 16)])
@@ -239,7 +234,7 @@ class TestSample:
 
     def test_rows_do_not_meet(self, dim):
         model = make(dim)
-        conditions = model.conditions(scenes(dim), [0, 0, 0]).map(lambda x: x[1:2])
+        conditions = conditions_of(model, scenes(dim)).map(lambda x: x[1:2])
         alone = model.sample(conditions, torch.tensor([0.0]), noise(3, dim)[1:2])
         torch.testing.assert_close(alone, self.sample(model)[1:2], atol=1e-5, rtol=1e-5)
 
@@ -247,7 +242,7 @@ class TestSample:
     def test_is_denoised_by_forward(self, dim, guidance):
         """Sampling takes the steps of DDIM with the network that is trained."""
         model, level = make(dim), torch.tensor([-1.0, 0.3, 1])
-        conditions = model.conditions(scenes(dim), [0, 0, 0])
+        conditions = conditions_of(model, scenes(dim))
         times, never = sampling_timesteps(100, 3), torch.zeros(3, dtype=torch.bool)
         context = model.encode(model.encode_scene(conditions), level)
         nothing = model.encode(model.encode_scene(conditions, never), level, never)
@@ -267,7 +262,7 @@ class TestSample:
     def test_a_large_batch_is_that_of_each_row(self, dim):
         model, level = make(dim), torch.linspace(-1, 1, 150)
         many = [Scene.random(np.random.default_rng(i), dim=dim) for i in range(150)]
-        whole = model.conditions(many, [0] * 150)
+        whole = conditions_of(model, many)
         found = model.sample(whole, level, noise(150, dim))
         for i in (0, 63, 64, 149):
             alone = whole.map(lambda x, i=i: x[i : i + 1])
@@ -277,8 +272,8 @@ class TestSample:
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
     def test_one_scene_for_all_levels(self, dim, guidance):
         model, level = make(dim), torch.tensor([-1.0, 0, 1])
-        once = model.conditions(scenes(dim)[:1], [0])
-        thrice = model.conditions(scenes(dim)[:1] * 3, [0] * 3)
+        once = conditions_of(model, scenes(dim)[:1])
+        thrice = conditions_of(model, scenes(dim)[:1] * 3)
         torch.testing.assert_close(
             model.sample(once, level, noise(3, dim), guidance=guidance),
             model.sample(thrice, level, noise(3, dim), guidance=guidance),
@@ -313,7 +308,7 @@ class TestSample:
 
 class TestWithoutField:
     def sample(self, model, seen, level=1.0, **options):
-        conditions = model.conditions(seen, [0] * len(seen))
+        conditions = conditions_of(model, seen, observer=Observer(beta=20.0))
         return model.sample(
             conditions, torch.full((3,), level), noise(3, model.config.dim), **options
         )
@@ -333,6 +328,10 @@ class TestWithoutField:
             *(self.sample(make(dim), s, guidance=guidance) for s in (one, other))
         )
 
+    def test_obstacles_are_read_at_the_waypoints(self, dim):
+        model, other = make(dim, field=False), [barred(scene) for scene in scenes(dim)]
+        assert not torch.allclose(self.sample(model, scenes(dim)), self.sample(model, other))
+
     def test_target_and_level_are_seen(self, dim):
         model = make(dim, field=False)
         assert not torch.allclose(*(self.sample(model, scenes(dim), ell) for ell in (-1.0, 1.0)))
@@ -348,7 +347,7 @@ class TestWithoutField:
 
     def test_every_parameter_is_trained(self):
         model = make(field=False)
-        conditions = model.conditions(scenes(2), [0, 0, 0])
+        conditions = conditions_of(model, scenes(2))
         keep = torch.tensor([True, False, True])
         context = model.encode(model.encode_scene(conditions, keep), torch.ones(3), keep)
         model(noise(3, 2), torch.full((3,), 50), context, conditions, keep).sum().backward()
@@ -374,7 +373,7 @@ class TestSampler:
             clip_sample=False,
         )
         model = make(dim=2, diffusion_steps=20, sampling_steps=20)
-        conditions, level = model.conditions(scenes(2)[:1], [0]), torch.tensor([0.5])
+        conditions, level = conditions_of(model, scenes(2)[:1]), torch.tensor([0.5])
         context = model.encode(model.encode_scene(conditions), level)
         scheduler.set_timesteps(20)
         assert scheduler.timesteps.tolist() == sampling_timesteps(20, 20)
@@ -392,7 +391,7 @@ def test_level_is_learned_within_a_few_steps():
     model = make(loud=False)
     model.train()
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
-    conditions = model.conditions(scenes(2), [0, 0, 0])
+    conditions = conditions_of(model, scenes(2))
     level = torch.tensor([-1.0, 0, 1])
     wanted = level[:, None, None].expand(3, NUM_WAYPOINTS, 2)
     losses = []

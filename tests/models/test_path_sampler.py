@@ -1,20 +1,21 @@
-"""Paths are drawn from the seed alone, and again where they fall on the wrong side."""
+"""Paths are drawn from the seed alone, and again on the wrong side or in contact."""
 
 import numpy as np
 import pytest
 import torch
 
 import legibility as lg
-from legibility.curves import NUM_WAYPOINTS
+from legibility.curves import NUM_WAYPOINTS, path_curve
 from legibility.errors import CheckpointError, InvalidInputError
+from legibility.frame import Frame
+from legibility.models import path_sampler
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.frame import Frame
 from legibility.models.path_diffuser import PathDiffuser
-from legibility.models.path_sampler import PathSampler, Sampling
-from legibility.motion.path import Path
+from legibility.models.path_sampler import PathSampler, Sampling, Tasks
 
 SCENE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
+BARRED = lg.Scene(SCENE.start, SCENE.goals, obstacles=[lg.Ball([0.4, 0.55], 0.08)])
 TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
 PLAIN = Sampling()
 
@@ -50,15 +51,27 @@ def scripted(*sizes, **changes):
     return PathSampler(network(**changes), script, "script"), script
 
 
-def score(waypoints):
-    return Path.through(waypoints, SCENE, 0, np.asarray(0.0), lg.Observer()).score
+def score(paths):
+    return lg.Observer().score(path_curve(paths, 200), SCENE, 0)
+
+
+def tasks(levels, scene=SCENE):
+    """Of the default observer."""
+    return Tasks([scene], [0], [lg.Observer()], np.atleast_1d(np.asarray(levels, dtype=float)))
+
+
+def through(size, scene=SCENE):
+    """The path `(K + 2, D)` of a bulge."""
+    inner = Frame.of(scene, 0).frame_to_world(bulge(size))
+    return np.concatenate([[scene.start], inner, [scene.goals[0]]])
 
 
 class TestDraw:
     def test_from_the_start_to_the_goal_of_each_scene(self):
         scenes = [lg.Scene.random(np.random.default_rng(seed)) for seed in range(3)]
         sampler, _ = scripted(0.2)
-        paths = sampler.draw(scenes, [0, 1, 1], np.zeros(3), 0, PLAIN)
+        each = Tasks(scenes, [0, 1, 1], [lg.Observer()] * 3, np.zeros(3))
+        paths = sampler.draw(each, 0, PLAIN)
         assert paths.shape == (3, NUM_WAYPOINTS + 2, 2)
         for path, scene, target in zip(paths, scenes, [0, 1, 1], strict=True):
             np.testing.assert_array_equal(path[[0, -1]], [scene.start, scene.goals[target]])
@@ -67,35 +80,31 @@ class TestDraw:
 
     def test_the_seed_alone_decides(self):
         sampler = PathSampler(model := network(), model.sample, "tiny")
-        draws = [sampler.draw([SCENE], [0], np.zeros(2), seed, PLAIN) for seed in (1, 1, 2)]
+        draws = [sampler.draw(tasks(np.zeros(2)), seed, PLAIN) for seed in (1, 1, 2)]
         np.testing.assert_array_equal(draws[0], draws[1])
         assert np.abs(draws[0] - draws[2]).max() > 1e-3
 
     def test_what_is_not_finite_is_the_models_fault(self):
         sampler, _ = scripted(np.nan)
         with pytest.raises(CheckpointError, match="the model script drew a path that is not"):
-            sampler.draw([SCENE], [0], np.zeros(1), 0, PLAIN)
+            sampler.draw(tasks(0.0), 0, PLAIN)
 
 
 class TestRetries:
     @pytest.fixture(autouse=True)
     def sides(self):
         """In this scene a bulge to the left is legible, one to the right ambiguous."""
-        straight, left, right = (
-            score(np.concatenate([[SCENE.start], Frame.of(SCENE, 0).frame_to_world(bulge(size)),
-                                  [SCENE.goals[0]]]))
-            for size in (0.0, 0.4, -0.4)
-        )  # fmt: skip
+        straight, left, right = map(score, map(through, (0.0, 0.4, -0.4)))
         assert right < straight < left
 
     def test_the_right_side_is_kept(self):
         sampler, script = scripted(0.4)
-        sampler.draw_with_retries([SCENE], [0], np.array([0.7]), 0, PLAIN)
+        sampler.draw_with_retries(tasks(0.7), 0, PLAIN)
         assert script.levels == [pytest.approx([0.7])]
 
     def test_the_wrong_side_is_drawn_again_for_a_little_less(self):
         sampler, script = scripted(-0.4, -0.4, 0.4)
-        paths = sampler.draw_with_retries([SCENE], [0], np.array([1.0]), 0, PLAIN)
+        paths = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
         assert np.diff(np.concatenate(script.levels)).max() < 0
         assert min(script.levels)[0] > 0.9
         assert score(paths[0]) > score(np.linspace(SCENE.start, SCENE.goals[0], 10))
@@ -103,7 +112,7 @@ class TestRetries:
     def test_only_those_on_the_wrong_side(self):
         sampler, script = scripted([0.4, 0.4, -0.4], [-0.4])
         levels = np.array([1.0, -0.5, -1.0])
-        paths = sampler.draw_with_retries([SCENE], [0], levels, 0, PLAIN)
+        paths = sampler.draw_with_retries(tasks(levels), 0, PLAIN)
         assert [len(level) for level in script.levels] == [3, 1]
         assert script.levels[1][0] == pytest.approx(-0.5 * 0.97)
         straight = score(np.linspace(SCENE.start, SCENE.goals[0], 10))
@@ -111,7 +120,7 @@ class TestRetries:
 
     def test_it_gives_up(self):
         sampler, script = scripted(*[-0.4] * 4)
-        sampler.draw_with_retries([SCENE], [0], np.array([1.0]), 0, PLAIN)
+        sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
         assert len(script.levels) == 4
 
     @pytest.mark.parametrize(
@@ -119,8 +128,71 @@ class TestRetries:
     )
     def test_none_without_a_straight_line_to_compare_with(self, changes):
         sampler, script = scripted(-0.4, **changes)
-        sampler.draw_with_retries([SCENE], [0], np.array([1.0]), 0, PLAIN)
+        sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
         assert len(script.levels) == 1
+
+    def test_none_where_the_straight_line_is_blocked(self):
+        """ℓ = 0 is another curve there; what keeps clear is kept."""
+        sampler, script = scripted(-0.4)
+        sampler.draw_with_retries(tasks(1.0, BARRED), 0, PLAIN)
+        assert len(script.levels) == 1
+
+    def test_each_row_is_judged_in_its_own_scene(self):
+        """What leads away from the other goal for one target leads toward it for the other."""
+        sampler, script = scripted([0.4, 0.4], -0.4)
+        each = Tasks([SCENE] * 2, [0, 1], [lg.Observer()] * 2, np.array([1.0, 1.0]))
+        paths = sampler.draw_with_retries(each, 0, PLAIN)
+        assert [len(level) for level in script.levels] == [2, 1]
+        np.testing.assert_allclose(paths[0], through(0.4), atol=1e-6)
+
+
+class TestContact:
+    def test_what_touches_is_drawn_again_and_the_first_clear_one_taken(self):
+        sampler, script = scripted([0.4, 0.0], [0.0, 0.02, 0.04, 0.3, 0.0, 0.4, 0.0, 0.0])
+        paths = sampler.draw_with_retries(tasks([0.5, -0.3], BARRED), 0, PLAIN)
+        assert [len(level) for level in script.levels] == [2, 8]
+        np.testing.assert_allclose(script.levels[1], -0.3)
+        np.testing.assert_allclose(paths, [through(0.4), through(0.3)], atol=1e-6)
+
+    def test_or_the_one_that_touches_least(self):
+        sampler, _ = scripted(0.0, [0.0, 0.02, 0.04, 0.01, 0.05, 0.0, 0.0, 0.0])
+        paths = sampler.draw_with_retries(tasks(0.5, BARRED), 0, PLAIN)
+        np.testing.assert_allclose(paths[0], through(0.05), atol=1e-6)
+
+    def test_margin(self):
+        """0 where a path keeps clear, else how deep its worst point lies."""
+        paths = np.stack([through(0.4), through(0.0)])
+        margin = tasks([0, 0], BARRED).margin(paths)
+        assert margin[0] == 0
+        assert margin[1] == pytest.approx(-0.08, abs=1e-3)
+
+
+class TestPlan:
+    def test_moves_a_path_out_of_contact(self):
+        sampler, _ = scripted(0.05, 0.05)
+        paths, replaced = sampler.plan(tasks(0.5, BARRED), 0, PLAIN, exact=False, refine=True)
+        assert BARRED.feasible(path_curve(paths, 200), 0).all()
+        assert not replaced.any()
+
+    def test_unrefined_is_what_was_drawn(self):
+        sampler, _ = scripted(0.05)
+        paths, replaced = sampler.plan(tasks(0.5, BARRED), 0, PLAIN, exact=False, refine=False)
+        np.testing.assert_allclose(paths[0], through(0.05), atol=1e-6)
+        assert not replaced.any()
+        with pytest.raises(InvalidInputError, match="exact plans are refined"):
+            sampler.plan(tasks(0.5), 0, PLAIN, exact=True, refine=False)
+
+    def test_the_archives_nearest_curve_stands_in(self, monkeypatch):
+        monkeypatch.setattr(
+            path_sampler, "project", lambda paths, *_: (paths, np.zeros(len(paths), bool))
+        )
+        sampler, _ = scripted([0.4, 0.05], 0.05)
+        paths, replaced = sampler.plan(
+            tasks([0.5, 0.9], BARRED), 0, PLAIN, exact=False, refine=True
+        )
+        assert replaced.tolist() == [False, True]
+        np.testing.assert_allclose(paths[0], through(0.4), atol=1e-6)
+        assert BARRED.feasible(path_curve(paths, 200), 0).all()
 
 
 class TestSampling:

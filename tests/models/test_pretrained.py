@@ -158,6 +158,17 @@ class TestRefuses:
             with pytest.raises(CheckpointError):
                 read(folder)
 
+    @pytest.mark.parametrize("what", ["format", "settings"])
+    def test_of_another_version(self, folder, what):
+        """It says what to do."""
+        if what == "settings":
+            change_config(folder, "path", {"wall": 1.0})
+        else:
+            content = json.loads((folder / "config.json").read_text())
+            (folder / "config.json").write_text(json.dumps({**content, "format": 2}))
+        with pytest.raises(CheckpointError, match=r"another version of legibility.*train anew"):
+            load_stages(folder)
+
     @pytest.mark.parametrize("training", [3, "none", {}, {"speed": 1}, ["a"]], ids=str)
     def test_other_training_record(self, folder, training):
         content = json.loads((folder / "config.json").read_text())

@@ -12,8 +12,9 @@ from legibility.curves import path_curve
 from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import LABEL_KNOTS, generate
 from legibility.errors import CheckpointError, InvalidInputError
+from legibility.frame import Frame
 from legibility.intent.observer import Observer
-from legibility.models.frame import Frame
+from legibility.training import path
 from legibility.training.configuration import PathTrainingConfig
 from legibility.training.loop import Run
 from legibility.training.path import FrameScorer, PathBatches, train_path, validate_dial
@@ -31,7 +32,9 @@ class TestRun:
     def test_log(self, whole):
         log = rows(whole[0])
         assert [row["step"] for row in log] == [4, 5, 8]
-        assert {"loss", "velocity", "label", "wall", "validation_spearman"} <= log[-1].keys()
+        assert {"loss", "velocity", "label", "contact", "jerk", "validation_feasible"} <= log[
+            -1
+        ].keys()
         assert all(np.isfinite(value) for row in log for value in row.values())
 
     def test_model_is_of_the_data(self, whole, data):
@@ -57,9 +60,9 @@ class TestRun:
             train_path(data, validation, Run(whole[0], CPU), SHORT, **{**TINY, **settings})
 
     def test_validation_data_of_another_observer(self, data, validation, tmp_path):
-        config = dataclasses.replace(validation.config, observer=Observer(sigma=0.3))
+        config = dataclasses.replace(validation.config, observer=Observer(alpha=1.0))
         other = dataclasses.replace(validation, config=config)
-        with pytest.raises(InvalidInputError, match=r"validation data have sigma 0\.3, the model"):
+        with pytest.raises(InvalidInputError, match=r"validation data have alpha 1\.0, the model"):
             train_path(data, other, Run(tmp_path, CPU), SHORT, **TINY)
 
 
@@ -106,6 +109,8 @@ class TestConfig:
             {"dropout": "some"},
             {"score_weight": -1},
             {"score_weight": np.nan},
+            {"contact_weight": -1},
+            {"jerk_weight": np.nan},
             {"ema": 1.0},
             {"seed": -1},
             {"validate_every": 0},
@@ -173,14 +178,16 @@ class TestLoss:
         idle = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum()]
         assert idle == []
 
-    def test_score_weight_zero_is_the_velocity_alone(self, data):
+    def test_is_the_sum_of_its_parts_by_their_weights(self, data):
         model = tiny_diffuser(data)
-        alone = dataclasses.replace(SHORT, score_weight=0, wall_weight=0)
-        loss, figures = PathBatches(data, model, alone, CPU).loss(
-            model, torch.Generator().manual_seed(0)
-        )
-        assert figures.keys() == {"velocity", "label", "wall"}
-        assert loss == figures["velocity"]
+        weights = {"score_weight": 2.0, "contact_weight": 3.0, "jerk_weight": 0.5}
+        for factor in (0.0, 1.0):
+            config = dataclasses.replace(SHORT, **{k: factor * w for k, w in weights.items()})
+            batches = PathBatches(data, model, config, CPU)
+            loss, parts = batches.loss(model, torch.Generator().manual_seed(0))
+            assert parts.keys() == {"velocity", "label", "contact", "jerk"}
+            more = 2 * parts["label"] + 3 * parts["contact"] + parts["jerk"] / 2
+            torch.testing.assert_close(loss.detach(), parts["velocity"] + factor * more)
 
     def test_batch_in_which_all_conditions_are_dropped(self, data):
         model = tiny_diffuser(data)
@@ -191,33 +198,35 @@ class TestLoss:
             assert torch.isfinite(loss)
             assert all(torch.isfinite(p.grad).all() for p in model.parameters())
 
-    def test_wall_is_what_is_outside(self, data):
+    def test_what_swings_wide_touches_more(self, data):
         model = tiny_diffuser(data)
         batches = PathBatches(data, model, SHORT, CPU)
         _, parts = batches.loss(model, torch.Generator().manual_seed(0))
         model.spread *= 4  # the same noise reaches four times as far
         _, wider = batches.loss(model, torch.Generator().manual_seed(0))
-        assert 0 <= parts["wall"] < wider["wall"]
-        config = dataclasses.replace(SHORT, wall_weight=0.0)
-        free, parts = PathBatches(data, model, config, CPU).loss(
-            model, torch.Generator().manual_seed(0)
-        )
-        total = parts["velocity"] + config.score_weight * parts["label"]
-        torch.testing.assert_close(free.detach(), total)
+        assert 0 <= parts["contact"] < wider["contact"]
+
+
+def conditions_of(data):
+    return tiny_diffuser(data).conditions(data.scenes, [0] * len(data.scenes), data.observers)
 
 
 class TestFrameScorer:
-    @pytest.fixture(scope="class", params=[(2, "anchored"), (2, "rank"), (3, "anchored")], ids=str)
+    @pytest.fixture(
+        scope="class",
+        params=[(2, "anchored", "all"), (2, "rank", "observers"), (3, "anchored", "all")],
+        ids=str,
+    )
     @staticmethod
     def scored(request, tmp_path_factory):
-        dim, label = request.param
+        dim, label, regime = request.param
         config = DatasetConfig(
-            dim=dim, scenes=4, cells=20 if dim == 2 else 9, per_scene=33, seed=2,
-            observer=Observer(label=label),
+            dim=dim, scenes=2, views=2, cells=20 if dim == 2 else 9, per_scene=33, seed=2,
+            regime=regime, candidates=8192, observer=Observer(label=label),
         )  # fmt: skip
         data = generate(config, tmp_path_factory.mktemp("scored"))
         frames = [Frame.of(scene, 0) for scene in data.scenes]
-        conditions = tiny_diffuser(data).conditions(data.scenes, [0] * len(frames))
+        conditions = conditions_of(data)
         waypoints = [f.world_to_frame(w) for f, w in zip(frames, data.waypoints, strict=True)]
         each = torch.arange(len(frames)).repeat_interleave(config.per_scene)
         return (
@@ -238,8 +247,14 @@ class TestFrameScorer:
     def test_label_is_the_archives(self, scored):
         data, scorer, conditions, each, waypoints = scored
         found = scorer.label(conditions, each, scorer.curve(waypoints)).numpy()
-        assert np.abs(found - data.labels.ravel()).mean() < 0.02
-        assert np.abs(found - data.labels.ravel()).max() < 0.25
+        gaps = np.abs(found - data.labels.ravel())[self.trusted(scorer, each)]
+        assert gaps.mean() < 0.02
+        assert gaps.max() < 0.25
+
+    @staticmethod
+    def trusted(scorer, each):
+        """The rows of scenes whose sides of the dial are wide enough to mean something."""
+        return (scorer.trust[each].amin(1) == 1).numpy()
 
     def test_label_of_the_knots(self, scored, monkeypatch):
         _, scorer, conditions, each, waypoints = scored
@@ -266,7 +281,7 @@ class TestFrameScorer:
         ):
             (gradient,) = torch.autograd.grad(value.sum(), waypoints)
             assert torch.isfinite(gradient).all()
-            assert (gradient.abs().sum((1, 2)) > 0).all()
+            assert (gradient.abs().sum((1, 2)) > 0).float().mean() > 0.9
         step = 1e-2 * torch.nn.functional.normalize(gradient.flatten(1)).view_as(gradient)
         with torch.no_grad():
             up = scorer.label(conditions, each, scorer.curve(waypoints + step))
@@ -283,19 +298,64 @@ class TestFrameScorer:
         assert torch.isfinite(gradient).all()
 
     def test_of_any_smooth_curve(self, scored):
-        """Not only of what the archive holds."""
+        """Not only of what the archive holds: score and label are the observer's."""
         data, scorer, conditions, each, _ = scored
-        rng = np.random.default_rng(0)
-        scene, frame = data.scenes[1], Frame.of(data.scenes[1], 0)
+        rng, row = np.random.default_rng(0), 1
+        scene, observer, frame = (
+            data.scenes[row],
+            data.observers[row],
+            Frame.of(data.scenes[row], 0),
+        )
         straight = np.linspace(scene.start, scene.goals[0], 10)
         bend = np.sin(np.linspace(0, np.pi, 10))[:, None] * rng.normal(size=(20, 1, scene.dim))
         paths = straight + 0.3 * frame.scale * bend
-        exact = data.config.observer.score(path_curve(paths, 200), scene, 0)
+        exact = observer.score(path_curve(paths, 200), scene, 0)
         waypoints = torch.from_numpy(frame.world_to_frame(paths[:, 1:-1]).astype(np.float32))
-        chosen = torch.full((20,), data.config.per_scene)  # any row of scene 1
-        assert (each[chosen] == 1).all()
-        found = scorer.score(conditions.map(lambda x: x[chosen]), scorer.curve(waypoints))
-        np.testing.assert_allclose(found, exact, rtol=0.02, atol=0.01)
+        chosen = torch.full((20,), row * data.config.per_scene)  # any trajectory of the row
+        assert (each[chosen] == row).all()
+        conditions, points = conditions.map(lambda x: x[chosen]), scorer.curve(waypoints)
+        np.testing.assert_allclose(scorer.score(conditions, points), exact, rtol=0.02, atol=0.01)
+        if self.trusted(scorer, each)[chosen].all():
+            label = np.interp(exact, data.score_at_label[row], LABEL_KNOTS)
+            found = scorer.label(conditions, each[chosen], points).clamp(-1, 1)
+            assert np.abs(found.numpy() - label).max() < 0.1
+
+    def test_contact_is_zero_exactly_for_curves_that_keep_the_pad(self, scored):
+        data, scorer, conditions, each, waypoints = scored
+        generator = torch.Generator().manual_seed(0)
+        waypoints = waypoints + 0.1 * torch.randn(waypoints.shape, generator=generator)
+        points = scorer.curve(waypoints)
+        contact = scorer.contact(conditions, points).numpy()
+        margin = []
+        for row, scene in enumerate(data.scenes):
+            frame, curves = Frame.of(scene, 0), points[each == row].double().numpy()
+            margin.append(scene.margin_at(frame.frame_to_world(curves), 0).min(-1) / frame.scale)
+        short = path._PAD - np.concatenate(margin)
+        assert (contact[short < -1e-3] == 0).all()
+        assert (contact[short > 1e-3] > short[short > 1e-3] / 4.1 - 1e-3).all()
+        assert (contact <= 1.25 * np.maximum(short, 0) + 1e-3).all()
+        assert (short < -1e-3).any()
+        assert (short > 1e-3).any()
+
+    def test_jerk_costs_beyond_that_of_the_other_path(self, scored):
+        _, scorer, _, _, waypoints = scored
+        assert (scorer.jerk(waypoints, waypoints) == 0).all()
+        waves = waypoints + 0.2 * torch.tensor([1.0, -1] * 4)[:, None]
+        assert (scorer.jerk(waves, waypoints) > 0.5).all()
+        assert (scorer.jerk(waypoints, waves) == 0).all()
+
+    def test_error_is_of_the_label_and_trusts_narrow_sides_less(self, scored, monkeypatch):
+        _, scorer, conditions, each, waypoints = scored
+        points = scorer.curve(waypoints)
+        level = torch.where(torch.arange(len(each)) % 2 == 0, 1.0, -1.0)
+        monkeypatch.setattr(scorer, "trust", torch.ones_like(scorer.trust))
+        for achieved, loss in ((1.5 * level, 0.0), (0.5 * level, 0.45), (-1.0 * level, 1.95)):
+            monkeypatch.setattr(scorer, "label", lambda *_, achieved=achieved: achieved)
+            found = scorer.error(conditions, each, points, level)
+            torch.testing.assert_close(found, torch.full_like(found, loss))
+        scorer.trust[:, 1] = 0.1  # the legible side
+        found = scorer.error(conditions, each, points, level)
+        torch.testing.assert_close(found, torch.where(level > 0, 0.195, 1.95))
 
 
 class TestValidation:
@@ -330,15 +390,17 @@ class TestValidation:
 
         monkeypatch.setattr(model, "sample", best)
         figures = validate_dial(model, batches)
-        assert figures["validation_spearman_worst"] > 0.98
-        assert figures["validation_error"] < 0.09
+        assert figures["validation_spearman_worst"] > 0.9
+        assert figures["validation_error"] < 0.1
+        assert figures["validation_feasible"] > 0.9
         assert figures["validation_at_1"] > 0.7
         assert figures["validation_at_-1"] < -0.7
 
 
 def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):
-    """The worst of five seeds on two instruction sets: 0.77, 0.33, 0.40 and −0.41."""
-    config = DatasetConfig(scenes=24, cells=12, per_scene=17)
+    config = DatasetConfig(
+        scenes=24, views=1, cells=12, per_scene=17, candidates=4096, regime="dragan"
+    )
     data = generate(config, tmp_path / "train")
     validation = generate(
         dataclasses.replace(config, scenes=8, per_scene=9, stream="validation"),
@@ -360,7 +422,10 @@ class TestSidesThatAreThin:
     """Scenes whose whole legible side lies within a millionth of the range of their scores."""
 
     def test_label_is_exact_and_has_a_gradient(self, tmp_path):
-        config = DatasetConfig(scenes=12, per_scene=33, cells=24, stream="validation")
+        config = DatasetConfig(
+            scenes=12, views=1, per_scene=33, cells=16, candidates=4096, regime="paper",
+            stream="validation",
+        )  # fmt: skip
         data = generate(config, tmp_path)
         knots = data.score_at_label
         share = (knots[:, -1] - knots[:, 32]) / (knots[:, -1] - knots[:, 0])
@@ -368,11 +433,11 @@ class TestSidesThatAreThin:
         assert share[thin] < 1e-6
         frame = Frame.of(data.scenes[thin], 0)
         each = torch.full((config.per_scene,), thin)
-        conditions = tiny_diffuser(data).conditions(data.scenes, [0] * 12).map(lambda x: x[each])
+        conditions = conditions_of(data).map(lambda x: x[each])
         waypoints = torch.from_numpy(
             frame.world_to_frame(data.waypoints[thin]).astype(np.float32)
         ).requires_grad_()
-        scorer = FrameScorer(data, tiny_diffuser(data).conditions(data.scenes, [0] * 12))
+        scorer = FrameScorer(data, conditions_of(data))
         label = scorer.label(conditions, each, scorer.curve(waypoints))
         assert np.abs(label.detach().numpy() - data.labels[thin]).max() < 0.1
         (gradient,) = torch.autograd.grad(label.sum(), waypoints)

@@ -28,7 +28,9 @@ SHORT = PolicyTrainingConfig(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("policy")
-    config = DatasetConfig(scenes=24, cells=10, per_scene=9)
+    config = DatasetConfig(
+        scenes=24, views=1, cells=8, per_scene=9, candidates=4096, regime="dragan"
+    )
     generate(config, folder / "data")
     generate(dataclasses.replace(config, stream="validation", scenes=6), folder / "validation")
     demonstrate(folder / "data", DemonstrationsConfig(demonstrations=4))
@@ -128,7 +130,9 @@ def test_refuses(data, validation, tmp_path):
 
 def test_an_arm_learns_by_the_same_code(tmp_path):
     pytest.importorskip("mujoco", reason="the extra named panda is not installed")
-    config = DatasetConfig(dim=3, scenes=6, cells=6, per_scene=9)
+    config = DatasetConfig(
+        dim=3, scenes=6, views=1, cells=6, per_scene=9, candidates=4096, regime="dragan"
+    )
     generate(config, tmp_path / "data")
     checks = generate(
         dataclasses.replace(config, stream="validation", scenes=1), tmp_path / "validation"

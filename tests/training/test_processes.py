@@ -66,7 +66,7 @@ def finish(run):
 
 
 def values(folder):
-    names = ("step", "loss", "velocity", "label", "wall")
+    names = ("step", "loss", "velocity", "label", "contact", "jerk")
     return [[row[name] for name in names] for row in rows(folder)]
 
 
