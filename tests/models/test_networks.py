@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from legibility.models.networks import FieldEncoder, FiLMUNet, Residual, fourier
+from legibility.models.networks import FieldEncoder, FiLMUNet, Residual, SetEncoder, fourier
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -83,6 +83,18 @@ def test_unet_in_bfloat16_is_that_in_float32_to_its_rounding():
 def test_encoder(resolution):
     encoder = FieldEncoder(6, resolution, 8, 12)
     assert encoder(torch.randn(2, 6, resolution, resolution)).shape == (2, 12)
+
+
+def test_a_set_has_no_order_and_no_empty_places():
+    torch.manual_seed(0)
+    encoder, things = SetEncoder(5, 12), torch.randn(20, 3, 5)
+    there = torch.ones(20, 3, dtype=torch.bool)
+    found = encoder(things, there)
+    torch.testing.assert_close(encoder(things.flip(1), there), found)
+    filled = torch.cat([things, torch.randn(20, 4, 5)], dim=1)
+    there = torch.arange(7).expand(20, 7) < 3
+    torch.testing.assert_close(encoder(filled, there), found)
+    assert not torch.allclose(encoder(filled, torch.ones_like(there)), found)
 
 
 def test_residual_keeps_the_shape():

@@ -51,7 +51,7 @@ class SetEncoder(nn.Module):
         """`things (B, M, inputs)`, `there (B, M)` to `(B, size)`."""
         each = self.each(things).masked_fill(~there[..., None], 0.0)
         total = each.sum(dim=1) / 2
-        most = each.amax(dim=1)
+        most = each.amax(dim=1).clamp_min(0)  # the same with and without places that are empty
         return self.head(torch.cat([total, most], dim=-1))
 
 
