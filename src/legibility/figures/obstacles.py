@@ -135,6 +135,7 @@ def _outline(corners: Array, radius: float, plane: Array) -> Array:
         plane: `(2, D)`, two orthogonal unit vectors.
     """
     farthest = np.argmax(_CIRCLE @ plane @ corners.T, axis=-1)
+    farthest[-1] = farthest[0]  # which rounding may keep apart where two are as far
     return corners[farthest] + radius * _CIRCLE @ plane
 
 
