@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from .checks import Array, finite_array, positive
 from .errors import InvalidInputError, InvalidSceneError
 
-_TINY = 1e-30  # under a square root, whose gradient at 0 is infinite
+_TINY = 1e-30  # least value under a square root, whose gradient at 0 is infinite
 _FAR = -1e6  # the radius of a solid that is not there
 
 
@@ -278,7 +278,7 @@ class Solids(NamedTuple):
         local = self.axes @ (columns - self.centers[..., None])
         beyond = abs(local) - self.halves[..., None]
         outer = beyond.clip(min=0)
-        reach = xp.sqrt((outer * outer).sum(-2) + _TINY)
+        reach = xp.sqrt((outer * outer).sum(-2).clip(min=_TINY))
         most = xp.amax(beyond, -2)
         distance = reach + most.clip(max=0) - self.radii[..., None]
         if not gradient:
@@ -295,14 +295,14 @@ class Solids(NamedTuple):
         edge_x, edge_y = (edges[..., i, None] for i in (0, 1))
         squared = edge_x * edge_x + edge_y * edge_y
         x, y = (columns[..., None, i, :] - c for i, c in ((0, corner_x), (1, corner_y)))
-        along = ((x * edge_x + y * edge_y) / (squared + _TINY)).clip(min=0, max=1)
+        along = ((x * edge_x + y * edge_y) / squared.clip(min=_TINY)).clip(min=0, max=1)
         gap_x, gap_y = x - along * edge_x, y - along * edge_y  # (..., Q, V, K)
         apart = gap_x * gap_x + gap_y * gap_y
         closest = xp.amin(apart, -2)
-        length = xp.sqrt(squared + _TINY)
+        length = xp.sqrt(squared.clip(min=_TINY))
         depth = xp.where(squared > 0, (x * edge_y - y * edge_x) / length, -np.inf)
         deepest = xp.amax(depth, -2)
-        inside, reach = deepest <= 0, xp.sqrt(closest + _TINY)
+        inside, reach = deepest <= 0, xp.sqrt(closest.clip(min=_TINY))
         distance = xp.where(inside, deepest, reach) - self.polygon_radii[..., None]
         if not gradient:
             return distance, None

@@ -181,7 +181,7 @@ class Conditions:
 
 def _length(vectors: Tensor) -> Tensor:
     """Length `(...)` of `vectors (..., D)`, with a gradient at 0."""
-    return (vectors.square().sum(-1) + 1e-12).sqrt()
+    return vectors.square().sum(-1).clamp_min(1e-12).sqrt()
 
 
 def _unit(vectors: Tensor) -> Tensor:
