@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from .checks import Array, finite_array, positive
 from .errors import InvalidInputError, InvalidSceneError
 
-_TINY = 1e-30  # least value under a square root, whose gradient at 0 is infinite
+_TINY = 1e-30  # least square under a root, whose gradient at 0 is infinite; exporters drop sums
 _FAR = -1e6  # the radius of a solid that is not there
 
 

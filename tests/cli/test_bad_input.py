@@ -143,7 +143,7 @@ def test_csv(content, refused):
 
 
 @pytest.mark.parametrize(
-    "flags", ["--observer nobody", "--observer scene.yaml", "--observer nothing.yaml", "--target 9"]
+    "flags", ["--observer nobody", "--observer t.csv", "--observer nothing.yaml", "--target 9"]
 )
 def test_score(flags, refused):
     Path("t.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")

@@ -27,7 +27,7 @@ from ..scene import Scene
 from .path_diffuser import Conditions, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-_VERSION = 3
+_VERSION = 5
 """Version of the graphs; raising it makes stored graphs be exported again."""
 
 _TRACED = (

@@ -23,14 +23,14 @@ from ..scene import Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
 from .path_diffuser import PathDiffuser
-from .projection import project
+from .projection import project, smoothed
 
 _RETRIES = 3
 _STEP_BACK = 0.03
 _TOLERANCE = 0.05
 _LEAST_COST = 1e-12
 _DRAWS = 8
-_FINE = 192  # points at which a path is checked
+_FINE = 768  # points at which a path is checked; fewer miss sharp corners
 
 
 class Sampling(NamedTuple):
@@ -129,11 +129,14 @@ class PathSampler:
             return self.draw(tasks, seed, sampling), replaced
         paths = self.draw_with_retries(tasks, seed, sampling)
         for row, scene, target, observer in tasks.rows():
-            wanted = shortest = None
+            shortest = None
             if exact:
                 archive = scene_archive(scene, target, observer)
                 wanted, shortest = archive.score_of(tasks.levels[row]), archive.shortest_length
-            paths[row] = project(paths[row], scene, target, observer, wanted, shortest)[0]
+            else:
+                wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
+            smooth = smoothed(paths[row])
+            paths[row] = project(smooth, scene, target, observer, wanted, shortest)[0]
         touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
         for i in touching:

@@ -30,6 +30,28 @@ _LEAST_COST = 1e-12
 _TOUCHING = 1e6  # merit of a path in contact
 _SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
 _TINY = 1e-30
+_SMOOTHING = 0.1  # λ of `smoothed`
+
+
+def smoothed(paths: Array) -> Array:
+    """Paths `(B, K + 2, D)` without the waves that a network may draw; the ends stay.
+
+    The waypoints x of least `‖x − drawn‖² + λ ‖third differences of x‖²`: a zigzag is damped
+    eightfold, a bow over the whole path not at all.
+    """
+    return np.concatenate([paths[:, :1], _smoother() @ paths, paths[:, -1:]], axis=1)
+
+
+@functools.lru_cache(maxsize=1)
+def _smoother() -> Array:
+    """`(K, K + 2)`."""
+    third = np.diff(np.eye(NUM_WAYPOINTS + 2), n=3, axis=0)
+    stiff = _SMOOTHING * third.T @ third
+    inner = slice(1, -1)
+    right = -stiff[inner]
+    right[:, inner] = 0
+    right += np.eye(NUM_WAYPOINTS + 2)[inner]
+    return np.linalg.solve(np.eye(NUM_WAYPOINTS) + stiff[inner, inner], right)
 
 
 def project(
