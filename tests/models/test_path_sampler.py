@@ -191,7 +191,7 @@ class TestPlan:
             tasks([0.5, 0.9], BARRED), 0, PLAIN, exact=False, refine=True
         )
         assert replaced.tolist() == [False, True]
-        np.testing.assert_allclose(paths[0], through(0.4), atol=1e-6)
+        np.testing.assert_allclose(paths[0], through(0.4), atol=5e-3)  # smoothed
         assert BARRED.feasible(path_curve(paths, 200), 0).all()
 
 
