@@ -158,12 +158,11 @@ class TestArchive:
 
     def test_other_targets_and_observers_have_others(self, built):
         waypoints = bent(SCENES[2], 0.01)
+        others = (lg.Observer(alpha=1.0), lg.Observer(detour=2.0))
         found = [
             through(waypoints, SCENES[2], target, observer=observer).archive
-            for target, observer in (
-                (0, OBSERVER), (1, OBSERVER), (0, lg.Observer(alpha=1.0)), (0, lg.Observer(detour=2.0)),
-            )
-        ]  # fmt: skip
+            for target, observer in ((0, OBSERVER), (1, OBSERVER), *((0, o) for o in others))
+        ]
         assert len(set(map(id, found))) == 4
         # Observers of one detour share the curves.
         assert built == [(SCENES[2], 0, 2.5), (SCENES[2], 1, 2.5), (SCENES[2], 0, 2.0)]

@@ -72,7 +72,7 @@ class PathDiffuserConfig(_NetworkConfig):
         dim: D, 2 or 3.
         observer: who watches unless told otherwise; α, detour and label are those of all observers.
         field: whether it sees the field and the obstacles' features; without it, it knows start,
-            goal, workspace and ℓ, and what it reads of the margin at the waypoints.
+            goal, workspace, ℓ and the observer's σ and β, and reads the margin at the waypoints.
         channels: of the U-Net's levels.
         condition: size of the condition.
         encoder_width: channels of the image encoder's first layer.
