@@ -348,8 +348,8 @@ def solids_of(
     vertices = np.zeros((len(polygons), most, dim))
     for i, polygon in enumerate(polygons):
         vertices[i] = np.pad(polygon, ((0, most - len(polygon)), (0, 0)), "edge")
-    columns = (np.array(column) for column in zip(*rows, strict=True))
-    return Solids(*columns, vertices, np.full(len(polygons), margin))
+    centers, axes, halves, radii = (np.array(column) for column in zip(*rows, strict=True))
+    return Solids(centers, axes, halves, radii, vertices, np.full(len(polygons), margin))
 
 
 def _size(name: str, value: Any) -> float:

@@ -166,7 +166,7 @@ class Scene:
 
     def feasible(self, curves: ArrayLike, target: int) -> np.ndarray:
         """Whether each of `curves (..., T, D)` [m] keeps clear of everything, `(...)` bool."""
-        return (self.margin_at(curves, target) >= -TOUCH * self.diagonal).all(-1)
+        return np.asarray(self.margin_at(curves, target).min(-1) >= -TOUCH * self.diagonal)
 
     @property
     def size(self) -> float:

@@ -143,7 +143,7 @@ def _measure(
     scene, observer = archive.scene, archive.observer
     judge = _Judge.of(archive, levels, config.samples)
     (seed,) = plan_seeds(config.seed, index, 1)
-    plan = partial(
+    plan: Any = partial(
         modulator.plan, scene, 0, seed=seed, observer=observer, guidance=config.guidance,
         steps=config.steps,
     )  # fmt: skip
@@ -263,14 +263,14 @@ class _Judge(NamedTuple):
             "error_by_level": errors.mean(1).tolist(),
         }
 
-    def _optimum(self, scores: Array, lengths: Array, feasible: Array) -> float | None:
+    def _optimum(self, scores: Array, lengths: Array, feasible: np.ndarray) -> float | None:
         """Gain of feasible curves over ℓ = 0, over that of the best elites that are no longer.
 
         None where no such elite gains anything worth the name.
         """
         if not feasible.any():
             return None
-        shorter = self.lengths <= lengths[feasible, None] * (1 + 1e-3)
+        shorter = self.lengths <= lengths[feasible].reshape(-1, 1) * (1 + 1e-3)
         anchor = self.archive.anchor_score
         best = np.where(shorter, self.archive.scores, anchor).max(1, initial=anchor)
         gain, most = (scores[feasible] - anchor).mean(), (best - anchor).mean()

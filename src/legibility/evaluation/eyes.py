@@ -45,7 +45,7 @@ def observers(scene: Scene, like: Observer) -> dict[str, Observer]:
     The viewpoint is far behind the goals on the way that the robot goes, so that progress is what
     these eyes read worst.
     """
-    scale = dict(zip(("alpha", "detour", "label"), like.scale, strict=True))
+    scale: Any = dict(zip(("alpha", "detour", "label"), like.scale, strict=True))
     paper = Observer.paper(scene.dim)
     way = scene.goals[0] - scene.start
     eyes = scene.goals.mean(axis=0) + _AWAY * scene.size * way / np.linalg.norm(way)

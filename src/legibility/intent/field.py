@@ -162,10 +162,10 @@ class Field:
 
     def _logits(self, x: ArrayLike, target: int | None = None) -> list[Array]:
         """`log P(g) − E_g(x)` of each goal, `(...)`, less that of `target` or a common term."""
-        x = finite_array("x", x, min_ndim=1, last=self.dim)
-        if np.abs(x).max(initial=0) > _FARTHEST:
-            x = x / np.maximum(1, np.abs(x).max(-1, keepdims=True) / _FARTHEST)
-        offset = x - self._origin
+        points = finite_array("x", x, min_ndim=1, last=self.dim)
+        if np.abs(points).max(initial=0) > _FARTHEST:
+            points = points / np.maximum(1, np.abs(points).max(-1, keepdims=True) / _FARTHEST)
+        offset = points - self._origin
         slope, intercept, zero = self._slope, self._intercept, np.zeros(self.dim)
         if target is not None:
             slope = slope - slope[:, target, None]

@@ -78,10 +78,11 @@ class Tasks(NamedTuple):
 
     def of(self, rows: NDArray[np.intp]) -> Tasks:
         """Those of some rows."""
+        levels = self.levels[rows]
         if len(self.scenes) == 1:
-            return Tasks(*self[:3], self.levels[rows])
-        chosen = ([values[i] for i in rows] for values in self[:3])
-        return Tasks(*chosen, self.levels[rows])
+            return Tasks(self.scenes, self.targets, self.observers, levels)
+        scenes, targets, observers = ([values[i] for i in rows] for values in self[:3])
+        return Tasks(scenes, targets, observers, levels)
 
     def rows(self) -> Iterator[tuple[slice, Scene, int, Observer]]:
         """Each scene, with its target and observer, and the rows that lie in it."""

@@ -43,7 +43,7 @@ def smoothed(paths: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=1)
-def _smoother() -> Array:
+def _smoother() -> np.ndarray:
     """`(K, K + 2)`."""
     third = np.diff(np.eye(NUM_WAYPOINTS + 2), n=3, axis=0)
     stiff = _SMOOTHING * third.T @ third
@@ -257,10 +257,10 @@ class _Task:
         points, gap, normal, error, slope, excess, stretch = curves
         error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
         # The score yields to contact.
-        score = np.where((gap + room.pad).min(-1) < 0, score * _CONTACT / contact, score)
-        system = matrices.stiffness + (score[:, None] * slope)[:, :, None] * slope[:, None, :]
+        trust = np.where((gap + room.pad).min(-1) < 0, score * _CONTACT / contact, score)
+        system = matrices.stiffness + (trust[:, None] * slope)[:, :, None] * slope[:, None, :]
         force = (self.pull[rows] - matrices.smooth @ paths).reshape(-1, size)
-        force -= (score * error)[:, None] * slope
+        force -= (trust * error)[:, None] * slope
         if (excess > 0).any():
             weight = _LENGTH * (excess > 0)[:, None]
             system += weight[..., None] * stretch[:, :, None] * stretch[:, None, :]
@@ -392,7 +392,7 @@ def _matrices(dim: int) -> _Matrices:
     second, third = (np.diff(np.eye(NUM_WAYPOINTS + 2), n=n, axis=0) for n in (2, 3))
     shape = (second.T @ second)[1:-1]
     smooth = shape + _JERK * (third.T @ third)[1:-1]
-    stiffness = np.kron(smooth[:, 1:-1], np.eye(dim))
+    stiffness = np.kron(smooth[:, 1:-1], np.eye(dim)).astype(np.float64)
     return _Matrices(
         curve, between, spline, np.diff(spline, axis=0), outer, shape, smooth, stiffness
     )

@@ -269,7 +269,7 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
     if free(scene, target, straight[None])[0]:
         return straight, scale, REACH
     rng = np.random.default_rng(0)
-    best, lengths = np.empty((0, 4, scene.dim)), np.empty(0)
+    best, lengths, reach = np.empty((0, 4, scene.dim)), np.empty(0), REACH
 
     def keep_shortest(controls: Array) -> None:
         nonlocal best, lengths
