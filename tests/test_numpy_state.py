@@ -96,7 +96,9 @@ def test_metrics(scene, reach):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_dataset(dim, tmp_path):
-    config = DatasetConfig(dim=dim, scenes=3, cells=8, per_scene=9, efficiency=1e-3)
+    config = DatasetConfig(
+        dim=dim, scenes=3, regime="observers", cells=8, per_scene=9, efficiency=1e-3
+    )
     generate(config, tmp_path)
     if dim == 2:
         demonstrate(tmp_path, DemonstrationsConfig(demonstrations=1))

@@ -283,7 +283,8 @@ class Solids(NamedTuple):
         distance = reach + most.clip(max=0) - self.radii[..., None]
         if not gradient:
             return distance, None
-        face = beyond == most[..., None, :]
+        # Not `face / face.sum()`, which is of PyTorch's default dtype.
+        face = (beyond == most[..., None, :]) + 0 * outer
         face = face / face.sum(-2)[..., None, :]
         slope = xp.where(most[..., None, :] > 0, outer / reach[..., None, :], face)
         return distance, xp.swapaxes(self.axes, -1, -2) @ xp.where(local < 0, -slope, slope)
@@ -315,7 +316,7 @@ class Solids(NamedTuple):
 
 def _mean(chosen: Any, vectors: Any) -> Any:
     """The mean over V of `vectors (..., V, D, K)` where `chosen (..., V, K)`."""
-    return ((chosen / chosen.sum(-2)[..., None, :])[..., None, :] * vectors).sum(-3)
+    return (chosen[..., None, :] * vectors).sum(-3) / chosen.sum(-2)[..., None, :]
 
 
 def solids_of(

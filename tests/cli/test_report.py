@@ -89,7 +89,7 @@ def test_weights_that_were_just_trained(results, executable, cli):
         file.write_text(json.dumps({**content, "model": hashes}))
     assert cli(REPORT) == 0
     card = " ".join(Path("models/tiny/README.md").read_text().split())
-    assert "4 random scenes (regime `training`, stream `train`" in card
+    assert "4 random scenes (regime `observers`, stream `train`" in card
     assert "8 demonstrations, 2 in each of 4 scenes" in card
     assert "20 batches of 16 moments of demonstrations" in card
 
@@ -121,7 +121,10 @@ def test_result_of_other_weights(name, stage, results, refused):
 def test_result_of_another_kind(kind, other, results, refused):
     names = {name.partition("-tiny")[0]: name for name in NAMES}
     shutil.copy(f"results/{names[other]}.json", f"results/{names[kind]}.json")
-    assert f"{names[kind]}.json is not a result of the kind {kind}" in refused(REPORT)
+    message = refused(REPORT)
+    assert f"{names[kind]}.json is not a result of the kind {kind}" in message or (
+        f"a {kind} of tiny is not what `legibility` writes" in message  # the card reads it first
+    )
 
 
 @pytest.mark.parametrize("spoil", [

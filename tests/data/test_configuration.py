@@ -158,7 +158,7 @@ class TestRegimes:
     @pytest.mark.parametrize("dim", [2, 3])
     def test_draws_what_it_says(self, dim, regime):
         stream = SceneStream("train", dim, regime)
-        scenes = [stream.scene(index) for index in range(8)]
+        scenes = [stream.scene(index) for index in range(12)]
         observers = [stream.observer_of(i, scene, LIKE) for i, scene in enumerate(scenes)]
         assert all(observer.scale == LIKE.scale for observer in observers)
         usual = [np.array_equal(s.workspace, DEFAULT_WORKSPACE[dim]) for s in scenes]
@@ -166,13 +166,14 @@ class TestRegimes:
         assert max(numbers) <= 4
         if regime == "training":
             assert {*usual} == {True, False}
-            assert min(numbers) == 0 < max(numbers)
+            assert 0 in numbers
+            assert max(numbers) > 0
             return
         assert {*usual} == {regime not in ("rooms", "all")}
         if regime == "obstacles":
             assert min(numbers) >= 1
         elif regime == "all":
-            assert min(numbers) == 0 < max(numbers)
+            assert len({*numbers}) > 2
         else:
             assert max(numbers) == 0
         if regime in ("observers", "all"):
@@ -180,7 +181,7 @@ class TestRegimes:
         else:
             own = lg.Observer.paper(dim) if regime == "paper" else lg.Observer()
             wanted = dataclasses.replace(own, alpha=1.0, detour=2.0, label="rank")
-            assert observers == [wanted] * 8
+            assert observers == [wanted] * 12
 
     def test_training_draws_every_observer(self):
         """A share of the paper's and of the default one, and others."""

@@ -82,7 +82,7 @@ class TestFair:
                 if rollout.reason == "stalled":  # the whole path was sent, once
                     sent = rollout.actions.sum(0) * gain
                     ends = rollout.path.waypoints[[0, -1]]
-                    np.testing.assert_allclose(sent, ends[1] - ends[0], atol=0.02)
+                    np.testing.assert_allclose(sent, ends[1] - ends[0], atol=0.05)
                     assert not rollout.actions[-1].any()
 
     def test_open_loops_never_replan(self, found):
