@@ -332,7 +332,7 @@ class TestCandidates:
 
         def build(scene, target=0, **options):
             built.append((scene, target))
-            return lg.build_archive(scene, target, **options, max_candidates=4096)
+            return lg.build_archive(scene, target, **options)
 
         monkeypatch.setattr("legibility.motion.archive.build_archive", build)
         for cache in (archive.scene_archive, archive._geometry):

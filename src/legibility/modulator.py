@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace as replaced
+from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .checks import (
     Array,
@@ -26,18 +25,16 @@ from .intent.observer import Observer
 from .models.configuration import PathDiffuserConfig
 from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
-from .models.path_sampler import PathSampler, Sampling, Tasks
+from .models.path_sampler import PathSampler, Sampling, Tasks, nearest_candidates
 from .models.pretrained import load_stages, pretrained_folder, save_stage
 from .models.provenance import TrainingRecord
 from .motion.archive import Archive, scene_archive
-from .motion.path import Path, straight_waypoints
-from .rollout import Rollout, follow
-from .scene import MIN_SEPARATION, Scene
+from .motion.path import Path
+from .rollout import Rollout, follow, paths_off_obstacles, straight_if_near
+from .scene import Scene
 
 BACKENDS = ("torch", "onnx")
 """What may run the networks."""
-
-_ARM_DRAWS, _ARM_POINTS = 8, 64  # paths drawn to keep an arm off obstacles, points of a check
 
 
 class Modulator:
@@ -176,8 +173,10 @@ class Modulator:
         paths, replaced = self.sampler.plan(tasks, seed, sampling, exact=exact, refine=refine)
         if number > 1:
             scores = Path.through(paths, scene, target, tasks.levels, observer).score
-            wanted = tasks.levels[::number]
-            best = self._nearest(scene, target, observer, wanted, scores.reshape(-1, number))
+            best = nearest_candidates(
+                tasks.levels[::number], scores.reshape(-1, number),
+                lambda: self.archive(scene, target, observer),
+            )  # fmt: skip
             chosen = np.arange(len(best)) * number + best
             paths, replaced = paths[chosen], replaced[chosen]
         if not levels.ndim:
@@ -374,24 +373,10 @@ class Modulator:
             )  # fmt: skip
 
         def plan_rest(rows: list[int], positions: Array) -> list[Path]:
-            return [_straight_if_near(path) for path in plan(rows, positions)]
+            return [straight_if_near(path) for path in plan(rows, positions)]
 
-        chosen = list(paths) if paths is not None else _off_the_arm(fleet, plan, seed)
+        chosen = list(paths) if paths is not None else paths_off_obstacles(fleet, plan, seed)
         return follow(fleet, chosen, driver, plan_rest if replan else None, tolerance)
-
-    def _nearest(
-        self, scene: Scene, target: int, observer: Observer, levels: Array, scores: Array
-    ) -> NDArray[np.intp]:
-        """Index `(B,)` of the candidate nearest to each of `levels (B,)`.
-
-        Labels end at ±1, scores do not: there it is the most extreme one.
-        """
-        best = np.argmax(np.sign(levels)[:, None] * scores, axis=1)
-        between = np.abs(levels) < 1
-        if between.any():
-            labels = self.archive(scene, target, observer).label_of(scores[between])
-            best[between] = np.argmin(np.abs(labels - levels[between, None]), axis=1)
-        return best
 
     def _check_scene(self, scene: Scene) -> None:
         if not isinstance(scene, Scene):
@@ -412,37 +397,3 @@ class Modulator:
                 f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
                 f"the environment's limit is {fleet.limit} m"
             )
-
-
-def _straight_if_near(path: Path) -> Path:
-    """The path, or the straight line where the goal is nearer than in any scene of training."""
-    start, goal = path.waypoints[0], path.waypoints[-1]
-    if np.linalg.norm(goal - start) >= 2 * MIN_SEPARATION * path.scene.diagonal:
-        return path
-    straight = replaced(path, waypoints=straight_waypoints(start, goal))
-    return straight if straight.feasible else path
-
-
-def _off_the_arm(fleet: Fleet, plan: Callable[..., list[Path]], seed: int) -> list[Path]:
-    """A path for each robot on which no link of its arm touches an obstacle.
-
-    Raises:
-        InvalidSceneError: in several draws there was none.
-    """
-    rows = list(range(fleet.size))
-    paths = plan(rows, fleet.positions)
-    if not any(scene.obstacles for scene in fleet.scenes):
-        return paths
-    for draw in range(1, _ARM_DRAWS + 1):
-        curves = np.stack([paths[row].trajectory(_ARM_POINTS) for row in rows])
-        rows = [row for row, n in zip(rows, fleet.arm_contacts(curves, rows), strict=True) if n]
-        if not rows:
-            return paths
-        if draw < _ARM_DRAWS:
-            again = plan(rows, fleet.positions[rows], seed=seed ^ (draw << 32))
-            for row, path in zip(rows, again, strict=True):
-                paths[row] = path
-    raise InvalidSceneError(
-        f"the arm would touch an obstacle on all of {_ARM_DRAWS} paths drawn; "
-        "give the scene a larger clearance, the gripper is several centimetres wide"
-    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ _TINY = 1e-30  # least square under a root, whose gradient at 0 is infinite; exp
 _FAR = -1e6  # the radius of a solid that is not there
 
 
-class _Obstacle:
+class _Obstacle(ABC):
     """Obstacles are immutable; equal ones compare equal and hash alike."""
 
     def _set(self, **values: Array | float | None) -> None:
@@ -33,13 +34,13 @@ class _Obstacle:
             object.__setattr__(self, name, value)
 
     @property
+    @abstractmethod
     def dim(self) -> int:
         """D, 2 or 3."""
-        raise NotImplementedError
 
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """Plain values, the form in scene files; `obstacle_from_dict` is the inverse."""
-        raise NotImplementedError
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """Distance [m] of `points (..., D)` [m] from the surface, `(...)`, negative inside."""

@@ -194,7 +194,7 @@ def test_weights_of_another_version(change, here, weights, refused):
     for line in ("plan scene.yaml --model model", "evaluate dial --scenes 1 --model model"):
         message = refused(line)
         assert "the weights in model are of another version of legibility" in message
-        assert "train anew with `legibility data` and `legibility train`" in message
+        assert "train new ones with `legibility data` and `legibility train`" in message
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,8 @@ def quickly():
         patch.setattr("legibility.data.configuration.build_archive", small)
         patch.setattr(SceneStream, "archive", functools.cache(SceneStream.archive))
         yield
+    for cache in (archives.scene_archive, archives._geometry):  # not for other tests
+        cache.cache_clear()
 
 
 class Fake:

@@ -166,7 +166,7 @@ class TestRefuses:
         else:
             content = json.loads((folder / "config.json").read_text())
             (folder / "config.json").write_text(json.dumps({**content, "format": 2}))
-        with pytest.raises(CheckpointError, match=r"another version of legibility.*train anew"):
+        with pytest.raises(CheckpointError, match=r"another version of legibility.*train new ones"):
             load_stages(folder)
 
     @pytest.mark.parametrize("training", [3, "none", {}, {"speed": 1}, ["a"]], ids=str)

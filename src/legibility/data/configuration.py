@@ -130,7 +130,7 @@ class DatasetConfig(SceneStream):
             |ℓ| times this share of the straight line is chosen e times less often; so ℓ = 0 is the
             straight line, and no level takes a needless detour.
         cells: the archive's cells along the straight line; 0 means 20 in 2D and 8 in 3D, coarser
-            than an archive that judges, as more scenes are worth more than exact labels.
+            than an archive that judges, to afford more scenes.
         candidates: most curves tried for an archive.
         observer: its α, detour and label are those of all observers.
     """

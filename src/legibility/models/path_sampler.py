@@ -18,8 +18,8 @@ from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
-from ..motion.path import straight_waypoints
-from ..scene import Scene
+from ..motion.path import CHECK_POINTS, straight_waypoints
+from ..scene import TOUCH, Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
 from .path_diffuser import PathDiffuser
@@ -30,7 +30,6 @@ _STEP_BACK = 0.03
 _TOLERANCE = 0.05
 _LEAST_COST = 1e-12
 _DRAWS = 8
-_FINE = 768  # points at which a path is checked; fewer miss sharp corners
 
 
 class Sampling(NamedTuple):
@@ -96,8 +95,8 @@ class Tasks(NamedTuple):
         """Least margin [m] of the curves through `paths (B, K + 2, D)`, `(B,)`, 0 if feasible."""
         margin = np.empty(len(self))
         for row, scene, target, _ in self.rows():
-            least = scene.margin_at(path_curve(paths[row], _FINE), target).min(-1)
-            margin[row] = np.where(least < -1e-9 * scene.diagonal, least, 0.0)
+            least = scene.margin_at(path_curve(paths[row], CHECK_POINTS), target).min(-1)
+            margin[row] = np.where(least < -TOUCH * scene.diagonal, least, 0.0)
         return margin
 
 
@@ -217,8 +216,23 @@ def nearest_path(archive: Archive, level: float) -> Array:
     order = np.argsort(np.abs(archive.labels - level), kind="stable")
     for few in np.array_split(order, max(1, len(order) // 64)):
         paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
-        good = np.flatnonzero(scene.feasible(path_curve(paths, _FINE), target))
+        good = np.flatnonzero(scene.feasible(path_curve(paths, CHECK_POINTS), target))
         if len(good):
             return paths[good[0]]
     shortest = bezier_trajectories(archive.anchor[None], NUM_WAYPOINTS + 2)
     return project(shortest, scene, target, archive.observer)[0][0]
+
+
+def nearest_candidates(
+    levels: Array, scores: Array, archive: Callable[[], Archive]
+) -> NDArray[np.intp]:
+    """Index `(B,)` of the candidate nearest to each of `levels (B,)`, of `scores (B, N)`.
+
+    Labels end at ±1, scores do not: there it is the most extreme one, and no archive is needed.
+    """
+    best = np.argmax(np.sign(levels)[:, None] * scores, axis=1)
+    between = np.abs(levels) < 1
+    if between.any():
+        labels = archive().label_of(scores[between])
+        best[between] = np.argmin(np.abs(labels - levels[between, None]), axis=1)
+    return best

@@ -132,7 +132,7 @@ def _of_another_version(folder: Path, reason: str) -> CheckpointError:
     """The error for weights that this version does not read."""
     return CheckpointError(
         f"the weights in {folder} are of another version of legibility ({reason}): use those that "
-        "came with the package, or train anew with `legibility data` and `legibility train`"
+        "came with the package, or train new ones with `legibility data` and `legibility train`"
     )
 
 
