@@ -24,14 +24,16 @@ from ..curves import NUM_WAYPOINTS
 from ..errors import CheckpointError, InvalidInputError, MissingExtraError, OutputError
 from ..files import write_bytes
 from ..scene import Scene
-from .path_diffuser import Conditions, PathDiffuser
+from .dial import Dial
+from .path_diffuser import Conditions, Drawn, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-_VERSION = 5
+_VERSION = 6
 """Version of the graphs; raising it makes stored graphs be exported again."""
 
 _TRACED = (
-    "dim", "field", "channels", "condition", "encoder_width", "resolution", "squash", "chunk",
+    "dim", "field", "curves", "channels", "condition", "encoder_width", "resolution", "squash",
+    "chunk",
     "diffusion_steps", "sampling_steps", "guidance",
 )  # fmt: skip
 """Settings that a graph depends on."""
@@ -64,8 +66,8 @@ class _OnnxStage:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.model, self.graph)  # a session cannot go to another process
 
-    def _run(self, options: dict[str, float | None], **inputs: np.ndarray) -> np.ndarray:
-        """The output for `inputs`; raises if the options differ from the model's."""
+    def _run(self, options: dict[str, float | None], **inputs: np.ndarray) -> list[np.ndarray]:
+        """The outputs for `inputs`; raises if the options differ from the model's."""
         for name, value in options.items():
             fixed = getattr(self.config, name)
             if value is not None and value != fixed:
@@ -74,7 +76,7 @@ class _OnnxStage:
                     f"backend 'onnx', got {value:g}; backend 'torch' takes others"
                 )
         read = {node.name for node in self._session.get_inputs()}  # none for polygons in 3D
-        return self._session.run(None, {k: v for k, v in inputs.items() if k in read})[0]
+        return self._session.run(None, {k: v for k, v in inputs.items() if k in read})
 
 
 class OnnxPathDiffuser(_OnnxStage):
@@ -88,21 +90,23 @@ class OnnxPathDiffuser(_OnnxStage):
         *,
         guidance: float | None = None,
         steps: int | None = None,
-    ) -> Tensor:
+    ) -> Drawn:
         """See `PathDiffuser.sample`.
 
         Raises:
             InvalidInputError: the guidance or the steps are not the model's own.
         """
         size, several = len(level), len(conditions.vector) > 1
-        waypoints = self._run(
+        waypoints, *cost = self._run(
             {"guidance": guidance, "sampling_steps": steps},
             **{name: tensor.numpy() for name, tensor in vars(conditions).items()},
             scene=np.arange(size) if several else np.zeros(size, dtype=np.int64),
             level=level.numpy(),
             noise=noise.numpy(),
         )
-        return torch.from_numpy(waypoints)
+        return Drawn(
+            torch.from_numpy(waypoints), *(map(torch.from_numpy, cost) if cost else [None])
+        )
 
 
 class OnnxPathPolicy(_OnnxStage):
@@ -114,7 +118,7 @@ class OnnxPathPolicy(_OnnxStage):
         Raises:
             InvalidInputError: the steps are not the model's own.
         """
-        actions = self._run(
+        (actions,) = self._run(
             {"sampling_steps": steps},
             features=observation.features,
             has_path=observation.has_path,
@@ -164,7 +168,7 @@ def export_graph(model: PathDiffuser | PathPolicy) -> bytes:
         values, axes = zip(*example.values(), strict=True)
         program: Any = torch.onnx.export(
             _Traced(model).eval(), values, dynamo=True, dynamic_shapes=(axes,), optimize=False,
-            input_names=list(example), output_names=["output"], verbose=False,
+            input_names=list(example), verbose=False,
         )  # fmt: skip
     graph = program.model.graph
     tensors = _tensors(model)
@@ -198,15 +202,19 @@ class _Traced(nn.Module):
         super().__init__()
         self.model = model
 
-    def forward(self, *inputs: Tensor) -> Tensor:
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         if isinstance(self.model, PathPolicy):
             features, has_path, noise = inputs
             return self.model.denoise(features, has_path, noise)
         *scenes, scene, level, noise = inputs
         conditions = Conditions(*scenes)
         rows = conditions.without_image().map(lambda x: x.index_select(0, scene))
-        encoded = self.model.encode_scene(conditions).index_select(0, scene)
-        return self.model.draw(rows, encoded, level, noise)
+        knots = self.model.knots(conditions)
+        encoded = self.model.encode_scene(conditions, knots).index_select(0, scene)
+        waypoints = self.model.draw(rows, encoded, level, noise)
+        if knots is None:
+            return waypoints
+        return waypoints, Dial.at(knots.index_select(0, scene), level)
 
 
 def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[int, Any]]]:
@@ -242,7 +250,8 @@ def _fingerprint(model: PathDiffuser | PathPolicy) -> str:
     """Of everything that a graph depends on."""
     settings = model.config.to_dict()
     traced = {name: settings.get(name) for name in _TRACED}
-    text = json.dumps([_VERSION, type(model).__name__, traced])
+    label = settings.get("observer", {}).get("label")
+    text = json.dumps([_VERSION, type(model).__name__, traced, label])
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from ..intent.observer import Observer
 from ..obstacles import Solids
 from ..scene import Scene
 from .configuration import PathDiffuserConfig
+from .dial import KNOTS, Dial
 from .diffusion import ddim, sampling_timesteps
 from .inputs import (
     DEPTH,
@@ -179,6 +181,19 @@ class Conditions:
         return half[:, None] - along.abs(), (axes, inward)
 
 
+class Drawn(NamedTuple):
+    """Paths drawn in the start–target frame.
+
+    Attributes:
+        waypoints: `(B, K, D)`.
+        cost: log(−L_p) `(B,)` that their ℓ asks for, as the dial predicts it; None of a model
+            without the field.
+    """
+
+    waypoints: Tensor
+    cost: Tensor | None
+
+
 def _length(vectors: Tensor) -> Tensor:
     """Length `(...)` of `vectors (..., D)`, with a gradient at 0."""
     return vectors.square().sum(-1).clamp_min(1e-12).sqrt()
@@ -205,6 +220,8 @@ class PathDiffuser(nn.Module):
             )
             self.distractors = SetEncoder(2 * config.dim + 4, size)
             self.solids = SetEncoder(solid_features(config.dim), size)
+            self.dial = Dial(config)
+            self.scale = nn.Linear(KNOTS + 1, size)
         self.place = nn.Linear(vector_size(config.dim), size)
         self.no_field = nn.Parameter(torch.zeros(size))
         self.scene = nn.Sequential(nn.SiLU(), Residual(size))
@@ -230,14 +247,22 @@ class PathDiffuser(nn.Module):
         """`Conditions.of` for the model's resolution."""
         return Conditions.of(scenes, targets, observers, self.config.resolution)
 
-    def encode_scene(self, conditions: Conditions, keep: Tensor | None = None) -> Tensor:
-        """`(B, E)` of the scene; where `keep (B,)` is false the field is dropped."""
-        if not self.config.field:
+    def knots(self, conditions: Conditions) -> Tensor | None:
+        """The scene's dial, see `Dial`; None without the field."""
+        return self.dial(self.dial.readings(conditions)) if self.config.field else None
+
+    def encode_scene(
+        self, conditions: Conditions, knots: Tensor | None, keep: Tensor | None = None
+    ) -> Tensor:
+        """`(B, E)` of the scene and its dial; where `keep (B,)` is false the field is dropped."""
+        if knots is None:
             return self._without_field(conditions)
         solids = conditions.solid_features
         features = self.encoder(conditions.image.float())
         features = features + self.distractors(*conditions.distractor_features())
         features = features + self.solids(torch.asinh(solids), solids[..., -1] > 0)
+        middle = knots[:, KNOTS // 2, None]
+        features = features + self.scale(torch.cat([knots - middle, middle], 1).detach() / 4)
         if keep is not None:
             features = torch.where(keep[:, None], features, self.no_field)
         return self.scene(features + self.place(torch.asinh(conditions.vector)))
@@ -312,8 +337,9 @@ class PathDiffuser(nn.Module):
         *,
         guidance: float | None = None,
         steps: int | None = None,
-    ) -> Tensor:
-        """Draw waypoints `(B, K, D)` in the start–target frame, by deterministic DDIM.
+        knots: Tensor | None = None,
+    ) -> Drawn:
+        """Draw paths in the start–target frame, by deterministic DDIM.
 
         Song et al. 2021; the same noise gives the same path.
 
@@ -323,10 +349,13 @@ class PathDiffuser(nn.Module):
             noise: `(B, K, D)` standard normal.
             guidance: weight w at ℓ = ±1; the configuration's if not given.
             steps: of the sampler; the configuration's if not given.
+            knots: from `knots`, if they are known.
         """
         with torch.autocast(noise.device.type, enabled=False):
-            scene = self.encode_scene(conditions)
-            return self.draw(conditions, scene, level, noise, guidance, steps)
+            knots = self.knots(conditions) if knots is None else knots
+            scene = self.encode_scene(conditions, knots)
+            waypoints = self.draw(conditions, scene, level, noise, guidance, steps)
+        return Drawn(waypoints, None if knots is None else Dial.at(knots, level))
 
     def draw(
         self,

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
@@ -22,7 +21,7 @@ from ..motion.path import CHECK_POINTS, straight_waypoints
 from ..scene import TOUCH, Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
-from .path_diffuser import PathDiffuser
+from .path_diffuser import Drawn, PathDiffuser
 from .projection import project, smoothed
 
 _RETRIES = 3
@@ -30,6 +29,7 @@ _STEP_BACK = 0.03
 _TOLERANCE = 0.05
 _LEAST_COST = 1e-12
 _DRAWS = 8
+_EXACT = 0.02  # error of ℓ above which the archive's nearest curve is tried
 
 
 class Sampling(NamedTuple):
@@ -109,34 +109,40 @@ class PathSampler:
         name: of the weights, for messages.
     """
 
-    def __init__(self, model: PathDiffuser, sample: Callable[..., Tensor], name: str) -> None:
+    def __init__(self, model: PathDiffuser, sample: Callable[..., Drawn], name: str) -> None:
         self.model, self.sample, self.name = model, sample, name
         self.config = model.config
 
     def plan(
         self, tasks: Tasks, seed: int, sampling: Sampling, *, exact: bool, refine: bool
     ) -> tuple[Array, np.ndarray]:
-        """A path for each task, out of contact and with its score kept, or met if `exact`.
+        """A path for each task, out of contact and with the score that its ℓ asks for.
+
+        That is the score that the dial predicts or, if `exact`, that of the scene's archive, whose
+        nearest curve is then brought there where that comes nearer than the path drawn. A model
+        without the field keeps the score that it drew.
 
         Returns:
-            `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for a path that
-            could not be brought out of contact, `(B,)` bool.
+            `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for the path
+            drawn, `(B,)` bool.
         """
         replaced = np.zeros(len(tasks), dtype=bool)
         if not refine:
             if exact:
                 raise InvalidInputError("exact plans are refined: leave refine as it is")
-            return self.draw(tasks, seed, sampling), replaced
-        paths = self.draw_with_retries(tasks, seed, sampling)
+            return self.draw(tasks, seed, sampling)[0], replaced
+        paths, scores = self.draw_with_retries(tasks, seed, sampling)
         for row, scene, target, observer in tasks.rows():
-            shortest = None
+            smooth = smoothed(paths[row])
             if exact:
                 archive = scene_archive(scene, target, observer)
-                wanted, shortest = archive.score_of(tasks.levels[row]), archive.shortest_length
-            else:
+                paths[row], replaced[row] = _exact(archive, smooth, tasks.levels[row])
+                continue
+            if scores is None:
                 wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
-            smooth = smoothed(paths[row])
-            paths[row] = project(smooth, scene, target, observer, wanted, shortest)[0]
+            else:
+                wanted = scores[row]
+            paths[row] = project(smooth, scene, target, observer, wanted)[0]
         touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
         for i in touching:
@@ -146,27 +152,32 @@ class PathSampler:
         return paths, replaced
 
     @torch.inference_mode()
-    def draw(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
+    def draw(self, tasks: Tasks, seed: int, sampling: Sampling) -> tuple[Array, Array | None]:
         """A path for each task.
 
         Returns:
-            `(B, K + 2, D)` [m]; its ends are start and goal exactly.
+            `(B, K + 2, D)` [m], whose ends are start and goal exactly, and the score `(B,)` that ℓ
+            asks for, None of a model without the field.
         """
         size, dim = len(tasks), self.config.dim
         generator = torch.Generator("cpu").manual_seed(seed)
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         level = torch.from_numpy(tasks.levels.astype(np.float32))
         conditions = self.model.conditions(tasks.scenes, tasks.targets, tasks.observers)
-        waypoints = self.sample(conditions, level, noise, **sampling._asdict()).double().numpy()
-        if not np.isfinite(waypoints).all():
+        drawn = self.sample(conditions, level, noise, **sampling._asdict())
+        waypoints = drawn.waypoints.double().numpy()
+        scores = None if drawn.cost is None else -np.exp(drawn.cost.double().numpy())
+        if not (np.isfinite(waypoints).all() and (scores is None or np.isfinite(scores).all())):
             raise CheckpointError(f"the model {self.name} drew a path that is not finite")
         paths = np.empty((size, NUM_WAYPOINTS + 2, dim))
         for row, scene, target, _ in tasks.rows():
             paths[row, 1:-1] = Frame.of(scene, target).frame_to_world(waypoints[row])
             paths[row, 0], paths[row, -1] = scene.start, scene.goals[target]
-        return paths
+        return paths, scores
 
-    def draw_with_retries(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
+    def draw_with_retries(
+        self, tasks: Tasks, seed: int, sampling: Sampling
+    ) -> tuple[Array, Array | None]:
         """`draw`, and draw again what lies on the wrong side of the straight line or in contact.
 
         Where the best way round changes with ℓ, a draw may fall between two ways. The straight
@@ -175,7 +186,7 @@ class PathSampler:
         Of a path in contact, several more are drawn, and the one that comes nearest to keeping
         clear is taken.
         """
-        paths = self.draw(tasks, seed, sampling)
+        paths, scores = self.draw(tasks, seed, sampling)
         if self.config.observer.label == "anchored" and self.config.field:
             for retry in range(1, _RETRIES + 1):
                 wrong = self._on_wrong_side(tasks, paths)
@@ -183,19 +194,19 @@ class PathSampler:
                     break
                 again = tasks.of(wrong)
                 again = Tasks(*again[:3], again.levels * (1 - _STEP_BACK) ** retry)
-                paths[wrong] = self.draw(again, seed ^ retry, sampling)
+                paths[wrong], _ = self.draw(again, seed ^ retry, sampling)
         margin = tasks.margin(paths)
         touching = np.flatnonzero(margin < 0)
         if len(touching):
             again = tasks.of(np.repeat(touching, _DRAWS))
-            drawn = self.draw(again, seed ^ (_RETRIES + 1), sampling)
+            drawn, _ = self.draw(again, seed ^ (_RETRIES + 1), sampling)
             drawn = np.concatenate(
                 [paths[touching, None], drawn.reshape(-1, _DRAWS, *paths.shape[1:])], 1
             )
             gaps = again.margin(drawn[:, 1:].reshape(-1, *paths.shape[1:])).reshape(-1, _DRAWS)
             best = np.argmax(np.column_stack([margin[touching], gaps]), axis=1)
             paths[touching] = drawn[np.arange(len(touching)), best]
-        return paths
+        return paths, scores
 
     def _on_wrong_side(self, tasks: Tasks, paths: Array) -> NDArray[np.intp]:
         """Indices of the paths that are clearly on the other side of the straight line than ℓ."""
@@ -208,6 +219,27 @@ class PathSampler:
             costs = _LEAST_COST - observer.score(curves, scene, target)
             ratio[row] = costs[:-1] / costs[-1]
         return np.flatnonzero(np.log(ratio) * np.sign(tasks.levels) > _TOLERANCE)
+
+
+def _exact(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[np.bool]]:
+    """Paths `(B, K + 2, D)` brought to `levels (B,)`, and whether an elite stands in, `(B,)`."""
+    scene, target, observer = archive.scene, archive.target, archive.observer
+    wanted, shortest = archive.score_of(levels), archive.shortest_length
+
+    def brought(paths: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+        paths, free = project(paths, scene, target, observer, wanted[rows], shortest)
+        scores = observer.score(path_curve(paths, SCORE_POINTS), scene, target)
+        return paths, np.where(free, np.abs(archive.label_of(scores) - levels[rows]), np.inf)
+
+    paths, error = brought(paths, np.arange(len(paths)))
+    replaced = np.zeros(len(paths), dtype=bool)
+    rows = np.flatnonzero(error > _EXACT)
+    if len(rows):
+        elites = np.stack([nearest_path(archive, float(level)) for level in levels[rows]])
+        elites, their_error = brought(elites, rows)
+        better = their_error < error[rows]
+        paths[rows[better]], replaced[rows[better]] = elites[better], True
+    return paths, replaced
 
 
 def nearest_path(archive: Archive, level: float) -> Array:

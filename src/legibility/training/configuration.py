@@ -71,11 +71,13 @@ class PathTrainingConfig(TrainingConfig):
         jerk_weight: weight of the loss on jerk beyond that of the path learned.
     """
 
-    scenes: int = 128
+    steps: int = 4000
+    warmup: int = 300
+    scenes: int = 512
     per_scene: int = 8
     score_weight: float = 5.0
-    contact_weight: float = 20.0
-    jerk_weight: float = 0.01
+    contact_weight: float = 40.0
+    jerk_weight: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,11 @@ class DistillationConfig(PathTrainingConfig):
         ends: share of the pairs at ℓ = ±1.
     """
 
-    steps: int = 4000
-    learning_rate: float = 5e-4
+    steps: int = 3000
+    learning_rate: float = 7e-4
     dropout: float = 0.0
-    contact_weight: float = 60.0
+    contact_weight: float = 100.0
+    jerk_weight: float = 0.1
     sampling_steps: int = 1
     pairs: int = 24
     ends: float = 0.2

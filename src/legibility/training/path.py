@@ -22,6 +22,7 @@ from ..errors import InvalidInputError
 from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS
 from ..models.configuration import PathDiffuserConfig
+from ..models.dial import KNOTS
 from ..models.diffusion import noised, sampling_timesteps
 from ..models.path_diffuser import Conditions, PathDiffuser
 from ..models.provenance import Source, TeacherRecord
@@ -30,9 +31,10 @@ from .configuration import FIXED_BY_DATA, DistillationConfig, PathTrainingConfig
 from .loop import Run, Trained, new_model, train
 from .team import Team
 
-_AT_ONCE = 16  # scenes for which a teacher draws at a time
+_AT_ONCE = 64  # scenes that are read, or for which a teacher draws, at a time
 _LEAST_COST = 1e-30
 _SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
+_LARGEST_ERROR, _COST_SHARE = 2.0, 0.1  # of the dial's loss: most of ℓ, weight of the log cost
 _PAD = 0.01  # distance to keep from solids and walls, in lengths of the straight line
 
 
@@ -50,6 +52,20 @@ class PathBatches:
         self.waypoints = torch.from_numpy(waypoints.astype(np.float32)).to(team.device)
         self.labels = torch.tensor(data.labels, device=team.device)
         self.scorer = FrameScorer(data, self.conditions)
+        self.readings: Tensor | None = None
+        if model.config.field:
+            dial, parts = model.dial.to(team.device), torch.arange(len(self.labels)).split(_AT_ONCE)
+            self.readings = torch.cat(
+                [dial.readings(self.conditions.map(lambda x, at=at: x[at])) for at in parts]
+            )
+
+    def knots(self, model: PathDiffuser, scenes: Tensor) -> Tensor | None:
+        """The dials of some `scenes (B,)` of the data, see `PathDiffuser.knots`."""
+        return None if self.readings is None else model.dial(self.readings[scenes])
+
+    def dial_loss(self, knots: Tensor | None, scenes: Tensor) -> dict[str, Tensor]:
+        """The loss of the dial of `scenes (B,)`; none without the field."""
+        return {} if knots is None else {"dial": self.scorer.dial_error(scenes, knots.float())}
 
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
@@ -82,7 +98,8 @@ class PathBatches:
         kept = keep.repeat_interleave(per)
         conditions = self.conditions.without_image().map(lambda x: x[index])
         with self.team.autocast():
-            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), keep)
+            knots = self.knots(model, scenes)
+            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), knots, keep)
             context = model.encode(scene.repeat_interleave(per, 0), label, kept)
             predicted = model(noisy, timestep, context, conditions, kept)
         predicted = predicted.float()
@@ -99,6 +116,7 @@ class PathBatches:
             "label": (weight * error).sum(),
             "contact": (weight * self.scorer.contact(conditions, points)).sum(),
             "jerk": (weight * self.scorer.jerk(found, waypoints[clear])).sum(),
+            **self.dial_loss(knots, scenes),
         }
         return self.weighed(parts)
 
@@ -155,7 +173,8 @@ class DistillationBatches(PathBatches):
             rows = scenes.repeat_interleave(pairs)
             conditions = self.conditions.map(lambda x, rows=rows: x[rows])
             levels, drawn = self.labels[scenes].flatten(), noise[scenes].flatten(0, 1)
-            paths = self.teacher.sample(conditions, levels, drawn)
+            knots = self.knots(self.teacher, rows)
+            paths = self.teacher.sample(conditions, levels, drawn, knots=knots).waypoints
             self.waypoints[scenes] = paths.unflatten(0, (-1, pairs))
         self.teacher.to(before)
         report(num, num)
@@ -176,7 +195,8 @@ class DistillationBatches(PathBatches):
         conditions = self.conditions.without_image().map(lambda x: x[each])
         times = sampling_timesteps(len(model.signal), config.sampling_steps)
         with self.team.autocast():
-            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]))
+            knots = self.knots(model, scenes)
+            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), knots)
             context = model.encode(scene.repeat_interleave(per, 0), level)
             found = model.denoise(conditions, context, noise, times)
         found = found.float()
@@ -188,6 +208,7 @@ class DistillationBatches(PathBatches):
             "label": self.scorer.error(conditions, each, points, level).mean(),
             "contact": self.scorer.contact(conditions, points).mean(),
             "jerk": self.scorer.jerk(found, taught).mean(),
+            **self.dial_loss(knots, scenes),
         })  # fmt: skip
 
 
@@ -239,23 +260,43 @@ class FrameScorer:
         It is extrapolated beyond ±1 so that its gradient never vanishes.
         """
         score = -torch.log((-self.score(conditions, points)).clamp_min(_LEAST_COST))
+        return self._read(scenes, score[:, None])[:, 0]
+
+    def _read(self, scenes: Tensor, score: Tensor) -> Tensor:
+        """Labels `(B, N)` of −log(−L_p) `(B, N)`, not ended at ±1."""
         knots = self.knots[scenes]
-        right = torch.searchsorted(knots, score.detach()[:, None]).clamp(1, len(self.values) - 1)
-        low, high = knots.gather(1, right - 1)[:, 0], knots.gather(1, right)[:, 0]
-        span = (high - low).clamp_min(1e-5 * (knots[:, -1] - knots[:, 0]))
-        right = right[:, 0]
+        right = torch.searchsorted(knots, score.detach()).clamp(1, len(self.values) - 1)
+        low, high = knots.gather(1, right - 1), knots.gather(1, right)
+        span = (high - low).clamp_min(1e-5 * (knots[:, -1:] - knots[:, :1]))
         step = self.values[1] - self.values[0]
         return self.values[right - 1] + (score - low) / span * step
+
+    def label_errors(self, scenes: Tensor, knots: Tensor) -> Tensor:
+        """Errors of ℓ `(B, KNOTS)` of the dials `knots (B, KNOTS)` of `scenes (B,)`."""
+        levels = self.values[:: (len(self.values) - 1) // (KNOTS - 1)]
+        return self._read(scenes, -knots).clamp(-1, 1) - levels
+
+    def dial_error(self, scenes: Tensor, knots: Tensor) -> Tensor:
+        """Mean loss of the dials `knots (B, KNOTS)` of `scenes (B,)`: on ℓ, and on the log cost."""
+        step = (len(self.values) - 1) // (KNOTS - 1)
+        level = self.values[::step].expand_as(knots)
+        cost = F.smooth_l1_loss(-knots, self.knots[scenes, ::step], beta=0.1)
+        error = self._weighed(scenes, self._read(scenes, -knots), level)
+        return error.clamp_max(_LARGEST_ERROR).mean() + _COST_SHARE * cost
 
     def error(
         self, conditions: Conditions, scenes: Tensor, points: Tensor, level: Tensor
     ) -> Tensor:
         """`(B,)`: loss on the label of curves `(B, T, D)` against `level (B,)`."""
         achieved = self.label(conditions, scenes, points)
+        return self._weighed(scenes, achieved[:, None], level[:, None])[:, 0]
+
+    def _weighed(self, scenes: Tensor, achieved: Tensor, level: Tensor) -> Tensor:
+        """`(B, N)`: loss of labels `achieved (B, N)` against `level (B, N)` in `scenes (B,)`."""
         # Labels end at ±1, scores go beyond: at the ends only a path that falls short is wrong.
         beyond = (level.abs() == 1) & (achieved * level > 1)
         achieved = torch.where(beyond, level, achieved)
-        trust = self.trust[scenes].gather(1, (level > 0).long()[:, None])[:, 0]
+        trust = self.trust[scenes].gather(1, (level > 0).long())
         return trust * F.smooth_l1_loss(achieved, level, beta=0.1, reduction="none")
 
     @staticmethod
@@ -299,6 +340,8 @@ def train_path(
     settings |= {name: getattr(data.config, name) for name in FIXED_BY_DATA}
     model = new_model(PathDiffuser, PathDiffuserConfig(**settings), config.seed)
     check_data(model.config, data, validation)
+    if model.config.field:
+        model.dial.set_curves(data.config.observer)
     model.to(run.team.device)
     batches = PathBatches(data, model, config, run.team)
     model.spread.copy_(batches.spread(model))
@@ -376,11 +419,17 @@ def validate_dial(
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
     achieved = torch.empty(shape[:2], device=device)
     feasible = torch.zeros((), device=device)
+    knots = checks.knots(model, scenes)
     for column, level in enumerate(asked):
-        waypoints = model.sample(checks.conditions, level.expand(size), noise[:, column])
-        points = checks.scorer.curve(waypoints)
+        levels_asked = level.expand(size)
+        drawn = model.sample(checks.conditions, levels_asked, noise[:, column], knots=knots)
+        points = checks.scorer.curve(drawn.waypoints)
         achieved[:, column] = checks.scorer.label(checks.conditions, scenes, points).clamp(-1, 1)
         feasible += (checks.conditions.margin(points) >= -1e-3).all(dim=1).float().mean()
+    dial = {}
+    if knots is not None:
+        error = checks.scorer.label_errors(scenes, knots).abs().mean()
+        dial = {"validation_dial_error": float(error)}
     labels, wanted = achieved.cpu().numpy(), asked.cpu().numpy()
     ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in labels])
     return {
@@ -390,4 +439,5 @@ def validate_dial(
         "validation_feasible": float(feasible / len(asked)),
         "validation_at_1": float(labels[:, -samples:].mean()),
         "validation_at_-1": float(labels[:, :samples].mean()),
+        **dial,
     }
