@@ -70,7 +70,7 @@ class Dial(nn.Module):
             nn.Linear(size, size), nn.SiLU(),
             nn.Linear(size, KNOTS),
         )  # fmt: skip
-        nn.init.zeros_(self.head[-1].weight)
+        nn.init.normal_(self.head[-1].weight, std=1e-3)
         nn.init.zeros_(self.head[-1].bias)
 
     def set_curves(self, observer: Observer) -> None:
