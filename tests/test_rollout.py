@@ -10,10 +10,10 @@ import legibility as lg
 from legibility.drivers import Feedback, Replay
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.envs.fleet import Fleet
-from legibility.errors import InvalidInputError, InvalidSceneError
-from legibility.motion.path import Path, straight_waypoints
+from legibility.errors import InvalidInputError
+from legibility.motion.path import Path
 from legibility.obstacles import Ball, Box
-from legibility.rollout import follow, paths_off_obstacles
+from legibility.rollout import follow
 
 LIMIT = 0.05
 SCENE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
@@ -269,46 +269,3 @@ class TestRefuses:
         )
         with pytest.raises(InvalidInputError, match=match):
             follow(fleet, [broken], Feedback())
-
-
-class TestWholeArm:
-    """Paths on which a link of the arm would touch an obstacle are drawn again."""
-
-    class Arms:
-        """Three robots; the arm of robot 1 touches on its first paths."""
-
-        size, positions = 3, np.zeros((3, 2))
-
-        def __init__(self, touching, obstacles=True):
-            scene = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
-            ball = [lg.Ball([0.5, 0.9], 0.1)] if obstacles else []
-            self.scenes = [lg.Scene(scene.start, scene.goals, obstacles=ball)] * 3
-            self.touching, self.asked = touching, []
-
-        def plan(self, rows, positions, seed=5):
-            self.asked.append((rows, seed))
-            line = straight_waypoints(self.scenes[0].start, self.scenes[0].goals[0])
-            observer = lg.Observer()
-            return [Path.through(line, self.scenes[0], 0, np.array(0.0), observer) for _ in rows]
-
-        def arm_contacts(self, trajectories, rows):
-            assert len(trajectories) == len(rows)
-            return np.array([row == 1 and len(self.asked) <= self.touching for row in rows], int)
-
-    @pytest.mark.parametrize("touching", [0, 1, 5])
-    def test_only_what_touches_is_drawn_again_by_another_seed(self, touching):
-        arms = self.Arms(touching)
-        assert len(paths_off_obstacles(arms, arms.plan, 5)) == 3
-        assert [rows for rows, _ in arms.asked] == [[0, 1, 2]] + [[1]] * touching
-        seeds = [seed for _, seed in arms.asked]
-        assert len({*seeds}) == len(seeds)
-
-    def test_without_a_free_path_it_is_refused(self):
-        arms = self.Arms(99)
-        with pytest.raises(InvalidSceneError, match="the arm would touch an obstacle"):
-            paths_off_obstacles(arms, arms.plan, 5)
-
-    def test_without_obstacles_nothing_is_checked(self):
-        arms = self.Arms(99, obstacles=False)
-        assert len(paths_off_obstacles(arms, arms.plan, 5)) == 3
-        assert len(arms.asked) == 1

@@ -30,8 +30,9 @@ from .models.pretrained import load_stages, pretrained_folder, save_stage
 from .models.provenance import TrainingRecord
 from .motion.archive import Archive, scene_archive
 from .motion.path import Path
-from .rollout import Rollout, follow, paths_off_obstacles, straight_if_near
+from .rollout import Rollout, follow, straight_if_near
 from .scene import Scene
+from .whole_arm import drawn_off_obstacles, paths_off_obstacles
 
 BACKENDS = ("torch", "onnx")
 """What may run the networks."""
@@ -363,7 +364,7 @@ class Modulator:
         if targets is not None:
             fleet.set_targets(for_each("targets", targets, fleet.size))
 
-        def plan(rows: list[int], positions: Array, seed: int = seed) -> list[Path]:
+        def plan(rows: list[int], positions: Array, seed: int) -> list[Path]:
             scenes = fleet.scenes
             return self.plan_many(
                 [scenes[row].starting_at(x) for row, x in zip(rows, positions, strict=True)],
@@ -372,8 +373,11 @@ class Modulator:
                 num_candidates=num_candidates, guidance=guidance, steps=steps,
             )  # fmt: skip
 
+        def plan_straight(rows: list[int], positions: Array, seed: int) -> list[Path]:
+            return [straight_if_near(path) for path in plan(rows, positions, seed)]
+
         def plan_rest(rows: list[int], positions: Array) -> list[Path]:
-            return [straight_if_near(path) for path in plan(rows, positions)]
+            return drawn_off_obstacles(fleet, plan_straight, rows, positions, seed)
 
         chosen = list(paths) if paths is not None else paths_off_obstacles(fleet, plan, seed)
         return follow(fleet, chosen, driver, plan_rest if replan else None, tolerance)

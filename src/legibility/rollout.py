@@ -12,7 +12,7 @@ from .curves import NUM_WAYPOINTS, resample
 from .drivers import Driver, RobotStates
 from .envs.fleet import Fleet
 from .envs.guard import CORRECTED
-from .errors import InvalidInputError, InvalidSceneError
+from .errors import InvalidInputError
 from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .motion.path import Path, straight_waypoints
 from .motion.tracking import PathTracker
@@ -25,7 +25,6 @@ _PATIENCE = 2.0
 _PROGRESS = 0.2
 _LOST = 6.0
 _RESTARTS = 3
-_ARM_DRAWS, _ARM_POINTS = 8, 64  # paths drawn to keep an arm off obstacles, points of a check
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,28 +298,3 @@ def straight_if_near(path: Path) -> Path:
         return path
     straight = replace(path, waypoints=straight_waypoints(start, goal))
     return straight if straight.feasible else path
-
-
-def paths_off_obstacles(fleet: Fleet, plan: Callable[..., list[Path]], seed: int) -> list[Path]:
-    """A path for each robot on which no link of its arm touches an obstacle.
-
-    Raises:
-        InvalidSceneError: in several draws there was none.
-    """
-    rows = list(range(fleet.size))
-    paths = plan(rows, fleet.positions)
-    if not any(scene.obstacles for scene in fleet.scenes):
-        return paths
-    for draw in range(1, _ARM_DRAWS + 1):
-        curves = np.stack([paths[row].trajectory(_ARM_POINTS) for row in rows])
-        rows = [row for row, n in zip(rows, fleet.arm_contacts(curves, rows), strict=True) if n]
-        if not rows:
-            return paths
-        if draw < _ARM_DRAWS:
-            again = plan(rows, fleet.positions[rows], seed=seed ^ (draw << 32))
-            for row, path in zip(rows, again, strict=True):
-                paths[row] = path
-    raise InvalidSceneError(
-        f"the arm would touch an obstacle on all of {_ARM_DRAWS} paths drawn; "
-        "give the scene a larger clearance, the gripper is several centimetres wide"
-    )

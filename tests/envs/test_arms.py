@@ -160,14 +160,31 @@ class TestEpisodes:
         assert solid.signed_distance(line).min() > 0.1
         env = vector(2)
         env.reset(seed=0, options={"scene": [scene, SCENE]})
-        found = env.arm_contacts([line, line])
-        assert found.dtype == np.int64
-        assert 0 < found[0] < 20
-        assert found[1] == 0
-        assert env.arm_contacts([line], [1]).tolist() == [0]
-        assert env.arm_contacts([line], [0]).tolist() == [found[0]]
-        with pytest.raises(InvalidInputError, match="one for each of 2 robots, got 1"):
-            env.arm_contacts([line])
+        points, gaps = env.arm_gaps(line, 0)
+        assert points[[0, -1]] == pytest.approx(line[[0, -1]])
+        assert 0 < (gaps < 0).sum() < 20
+        assert (env.arm_gaps(line, 1)[1] == np.inf).all()
+        touching = points[gaps.argmin()]
+        assert env.arm_touches(touching, 0) == [("link4", 0)]
+        assert env.arm_touches(touching, 1) == []
+        with pytest.raises(InvalidInputError, match="trajectory"):
+            env.arm_gaps([line])
+
+    def test_planes_stand_before_the_arm(self, vector):
+        solid = Ball([-0.2, 0.05, 0.37], 0.04)  # beside the hand
+        scene = Scene(SCENE.start, SCENE.goals, obstacles=[solid])
+        env = vector(2)
+        env.reset(seed=0, options={"scene": SCENE})
+        assert env.planes is None
+        env.reset(seed=0, options={"scene": [scene, SCENE]})
+        normals, gaps = env.planes
+        assert (gaps[1] == np.inf).all()
+        nearest = gaps[0].argmin()
+        assert np.linalg.norm(normals[0, nearest]) == pytest.approx(1)
+        assert normals[0, nearest, 1] < 0  # away from the ball, on its left
+        away = SCENE.start + np.outer([0, 0.01], normals[0, nearest])
+        moved = env.arm_gaps(away, 0)[1]
+        assert moved[-1] - moved[0] == pytest.approx(0.01, abs=2e-3)
 
     def test_arms_in_obstacles_are_counted(self, vector):
         solids = [Ball([-0.3, 0.0, 0.45], 0.05), Ball([-0.1, -0.1, 0.3], 0.06)]

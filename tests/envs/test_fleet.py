@@ -438,7 +438,8 @@ class TestState:
             contacts.append(fleet.contacts.tolist())
         assert contacts[0] == [False, False]
         assert contacts[-1] == [True, False]
-        assert fleet.arm_contacts(np.zeros((2, 4, 2)), [1, 0]).tolist() == [0, 0]
+        assert (fleet.arm_gaps(np.zeros((4, 2)), 1)[1] == np.inf).all()
+        assert fleet.arm_touches(np.zeros(2), 1) == []
 
     @pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
     def test_whole_arms(self, mode):
@@ -455,8 +456,11 @@ class TestState:
         else:
             env.reset(seed=0, options={"scene": [room, scene]})
         line = np.linspace(scene.start, scene.goals[0], 20)
-        found = Fleet(env, 0).arm_contacts(np.stack([line] * 3), [1, 0, 0])
-        assert found[0] == 0 < found[1] == found[2]
+        fleet = Fleet(env, 0)
+        assert (fleet.arm_gaps(line, 1)[1] == np.inf).all()
+        points, gaps = fleet.arm_gaps(line, 0)
+        assert gaps.min() < 0
+        assert fleet.arm_touches(points[gaps.argmin()], 0)
         env.close()
 
     @pytest.mark.parametrize("env", [None, 5, "2d", BlockReach2DVector])

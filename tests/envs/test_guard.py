@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from rooms import room
 
 from legibility.envs.block_reach_2d import BlockReach2DVector
-from legibility.envs.guard import Barriers, safe_actions
+from legibility.envs.guard import Barriers, Planes, safe_actions
 from legibility.obstacles import Ball, Box, Polygon
 from legibility.scene import DEFAULT_WORKSPACE, Scene
 
@@ -286,3 +286,17 @@ class TestTouched:
             least = scene.solids(0, inflated=False).distance(way).min()
             if abs(least) > 1e-3:
                 assert touched == (least < 0)
+
+
+def test_an_arm_keeps_its_links_off():
+    """A plane 1 cm ahead of a link, seen by robot 0 alone, ends its step 3 mm before it."""
+    normals, gaps = np.zeros((2, 1, 3)), np.full((2, 1), np.inf)
+    normals[0, 0], gaps[0, 0] = [-1, 0, 0], 0.01
+    workspace, still = np.array([[-1.0] * 3, [1.0] * 3]), np.zeros((2, 3))
+    wanted = np.tile([0.02, 0.01, 0.0], (2, 1))
+    sent = safe_actions(wanted, still, still, workspace, 0.02, 0.3, None, Planes(normals, gaps))
+    assert sent[0] == pytest.approx([0.007, 0.01, 0], abs=1e-9)
+    assert sent[1].tolist() == wanted[1].tolist()
+    moving = np.tile([0.007, 0.0, 0.0], (2, 1))  # it would coast 3 mm
+    sent = safe_actions(wanted, still, moving, workspace, 0.02, 0.3, None, Planes(normals, gaps))
+    assert sent[0] == pytest.approx([0.004, 0.01, 0], abs=1e-9)

@@ -16,9 +16,11 @@ from legibility.envs.panda_model import (
     JOINT_MARGIN,
     Kinematics,
     Simulation,
+    checked_points,
+    nearby,
+    obstacle_gaps,
     physics,
     postures,
-    touching,
 )
 from legibility.errors import MissingExtraError
 from legibility.obstacles import Ball, Box
@@ -132,13 +134,13 @@ LINE = np.linspace([-0.2, -0.2, 0.3], [0, 0.2, 0.1], 50)
 
 
 def test_postures_follow_a_trajectory(kinematics):
-    found = postures(LINE)
+    found = postures(checked_points(LINE))
     places = np.array([kinematics.grasp_point(angles) for angles in found])
     steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
     assert steps.max() < 0.0101
     assert steps.sum() == pytest.approx(np.linalg.norm(LINE[-1] - LINE[0]), rel=1e-3)
     assert places[[0, -1]] == pytest.approx(LINE[[0, -1]], abs=2e-4)
-    assert len(postures(LINE[:1].repeat(2, axis=0))) == 2  # without length
+    assert len(checked_points(LINE[:1].repeat(2, axis=0))) == 2  # without length
 
 
 @pytest.mark.parametrize(
@@ -153,12 +155,16 @@ def test_postures_follow_a_trajectory(kinematics):
     ],
 )
 def test_an_obstacle_in_the_way_of_any_link_is_found(obstacle, touched):
-    found = touching((obstacle,), postures(LINE))
+    found = obstacle_gaps((obstacle,), postures(checked_points(LINE))) < 0
     assert found.any() == touched
     assert not found.all()
-    assert (
-        touching((obstacle, Ball([-0.6, 0, 1.2], 0.1)), postures(LINE)).tolist() == found.tolist()
-    )
+    more = (obstacle, Ball([-0.6, 0, 1.2], 0.1))
+    again = obstacle_gaps(more, postures(checked_points(LINE))) < 0
+    assert again.tolist() == found.tolist()
+    for near in nearby(more, postures(checked_points(LINE))):
+        assert len(near.links) == len(near.gaps) == len(near.normals)
+        assert np.linalg.norm(near.normals, axis=-1) == pytest.approx(1)
+        assert set(near.obstacles.tolist()) <= {0, 1}
 
 
 @settings(max_examples=10, deadline=None)
@@ -178,7 +184,7 @@ def test_a_capsule_touches_a_ball_as_far_as_their_radii(angles, center, radius):
             ends = data.geom_xpos[geom] + np.linspace(-1, 1, 2001)[:, None] * axis
             apart = np.linalg.norm(ends - center, axis=-1).min() - model.geom_size[geom, 0]
             gap = min(gap, apart - radius)
-    touched = touching((Ball(center, radius),), angles[None])[0]
+    touched = obstacle_gaps((Ball(center, radius),), angles[None])[0] < 0
     if gap < -1e-4:
         assert touched
     elif gap > 0.08:  # a finger, a box, is nearer than its hand by less

@@ -9,7 +9,7 @@ import torch
 
 from legibility.data.configuration import SceneStream
 from legibility.envs.block_reach_2d import BlockReach2DVector
-from legibility.errors import InvalidInputError
+from legibility.errors import InvalidInputError, InvalidSceneError
 from legibility.evaluation import execution
 from legibility.evaluation.configuration import ExecutionConfig
 from legibility.evaluation.execution import ROWS, evaluate_execution
@@ -175,6 +175,28 @@ def test_past_obstacles(modulator):
     for row in rows.values():
         assert 0 <= row["touching"] <= min(6, row["contacts"])
     assert rows["feedback"]["contacts"] == 0
+
+
+def test_scenes_that_the_robot_cannot_pass_are_counted_and_others_taken(modulator, monkeypatch):
+    stream = SceneStream("evaluation", regime="obstacles", seed=1)
+    shut, executed = [stream.scene(0), stream.scene(2)], []
+    monkeypatch.setattr(execution, "arm_can_pass", lambda kind, scene, _: scene not in shut)
+    monkeypatch.setattr(execution, "ROWS", {"policy": ROWS["policy"]})
+    rollouts = execution._rollouts
+
+    def spy(*arguments):
+        executed.extend(rollouts(*arguments))
+        return executed
+
+    monkeypatch.setattr(execution, "_rollouts", spy)
+    config = ExecutionConfig(scenes=2, regime="obstacles", rollouts=6, seed=1)
+    found = evaluate_execution(modulator, config)
+    assert found["impassable"] == 2
+    scenes = list(dict.fromkeys(r.path.scene for r in executed))
+    assert scenes == [stream.scene(1), stream.scene(3)]
+    monkeypatch.setattr(execution, "arm_can_pass", lambda *_: False)
+    with pytest.raises(InvalidSceneError, match="BlockReach2D can pass none of 16 random scenes"):
+        evaluate_execution(modulator, config)
 
 
 def test_failures_that_gather_in_a_scene_widen_the_interval():

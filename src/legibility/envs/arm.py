@@ -1,15 +1,14 @@
 """The Franka Panda in both simulators: its limits, its task space and the events counted."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, finite_array
-from ..errors import InvalidInputError
 from .block_reach import BlockReachVector
+from .guard import Planes
 
 JOINT_LIMITS = np.array([
     [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
@@ -73,32 +72,52 @@ class ArmVector(BlockReachVector):
         meeting = [index for index in indices if self.scenes[index].obstacles]
         if not meeting:
             return
-        from .panda_model import touching
+        from .panda_model import obstacle_gaps
 
         angles = self.joint_angles
         for index in meeting:
-            touched = touching(self.scenes[index].obstacles, angles[index : index + 1])
-            self.counts["obstacle_contacts"][index] += touched[0]
+            gaps = obstacle_gaps(self.scenes[index].obstacles, angles[index : index + 1])
+            self.counts["obstacle_contacts"][index] += gaps[0] < 0
 
-    def arm_contacts(
-        self, trajectories: ArrayLike, indices: Sequence[int] | None = None
-    ) -> NDArray[np.int64]:
-        """See `BlockReachVector.arm_contacts`; the base, which never moves, does not count.
+    @property
+    def planes(self) -> Planes | None:
+        """See `BlockReachVector.planes`."""
+        if not any(scene.obstacles for scene in self.scenes):
+            return None
+        from .panda_model import nearby
+
+        found = [
+            next(nearby(scene.obstacles, pose[None]))
+            for scene, pose in zip(self.scenes, self.joint_angles, strict=True)
+        ]
+        most = max(1, *(len(near.gaps) for near in found))
+        normals, gaps = np.zeros((len(found), most, 3)), np.full((len(found), most), np.inf)
+        for row, near in enumerate(found):
+            normals[row, : len(near.gaps)], gaps[row, : len(near.gaps)] = near.normals, near.gaps
+        return Planes(normals, gaps)
+
+    def arm_gaps(self, trajectory: ArrayLike, index: int = 0) -> tuple[Array, Array]:
+        """See `BlockReachVector.arm_gaps`; the base, which never moves, does not count.
 
         Raises:
-            InvalidInputError: the trajectories or their number are wrong.
+            InvalidInputError: the trajectory is not one.
             MissingExtraError: MuJoCo is not installed.
         """
-        curves = finite_array("trajectories", trajectories, ndim=3, last=3)
-        chosen = list(range(self.num_envs)) if indices is None else list(indices)
-        if len(chosen) != len(curves):
-            raise InvalidInputError(
-                f"trajectories must be one for each of {len(chosen)} robots, got {len(curves)}"
-            )
-        contacts = np.zeros(len(curves), dtype=np.int64)
-        for row, (index, curve) in enumerate(zip(chosen, curves, strict=True)):
-            if obstacles := self.scenes[index].obstacles:
-                from .panda_model import postures, touching
+        curve = finite_array("trajectory", trajectory, ndim=2, last=3)
+        if not (obstacles := self.scenes[index].obstacles):
+            return super().arm_gaps(curve, index)
+        from .panda_model import checked_points, obstacle_gaps, postures
 
-                contacts[row] = touching(obstacles, postures(curve)).sum()
-        return contacts
+        points = checked_points(curve)
+        return points, obstacle_gaps(obstacles, postures(points))
+
+    def arm_touches(self, position: ArrayLike, index: int = 0) -> list[tuple[str, int]]:
+        """See `BlockReachVector.arm_touches`."""
+        point = finite_array("position", position, ndim=1, last=3)
+        if not (obstacles := self.scenes[index].obstacles):
+            return []
+        from .panda_model import nearby, postures
+
+        (near,) = nearby(obstacles, postures(point[None]))
+        pairs = zip(near.links, near.obstacles.tolist(), near.gaps, strict=True)
+        return sorted({(link, obstacle) for link, obstacle, gap in pairs if gap < 0})

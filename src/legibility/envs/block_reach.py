@@ -17,7 +17,7 @@ from ..checks import Array, bounded, count, finite_array, for_each, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
 from ..scene import DEFAULT_WORKSPACE, Scene
 from . import MAX_EPISODE_STEPS, check_render_mode
-from .guard import Barriers
+from .guard import Barriers, Planes
 
 _OPTIONS = ("scene", "target", "num_goals", "noise", "push", "shift")
 _RADIUS = 0.02
@@ -141,6 +141,11 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         if key != self._barriers[0]:
             self._barriers = key, Barriers.of(self.scenes, self.targets.tolist())
         return self._barriers[1]
+
+    @property
+    def planes(self) -> Planes | None:
+        """Planes between the arms and the obstacles near them; None if there are none."""
+        return None
 
     @abstractmethod
     def _place(self, index: int, position: Array) -> Array:
@@ -325,15 +330,19 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
             raise InvalidInputError(f"index must be at most {self.num_envs - 1}, got {index}")
         self.targets[index] = self.scenes[index].check_target(target)
 
-    def arm_contacts(
-        self, trajectories: ArrayLike, indices: Sequence[int] | None = None
-    ) -> NDArray[np.int64]:
-        """Number of points, 1 cm apart, at which whole arms would touch obstacles, `(N,)`.
+    def arm_gaps(self, trajectory: ArrayLike, index: int = 0) -> tuple[Array, Array]:
+        """How far the whole arm of robot `index` keeps off obstacles on `trajectory (T, D)` [m].
 
-        The end effectors of robots `indices (N,)`, all by default, follow `trajectories (N, T, D)`
-        [m]. It is 0 for robots without an arm.
+        Returns:
+            points `(P, D)` [m] of its end effector, 1 cm apart, and the arm's least gap there,
+            `(P,)` [m], below 0 in contact; inf for a robot without an arm or without obstacles.
         """
-        return np.zeros(len(np.asarray(trajectories)), dtype=np.int64)
+        points = np.asarray(trajectory, dtype=np.float64)
+        return points, np.full(len(points), np.inf)
+
+    def arm_touches(self, position: ArrayLike, index: int = 0) -> list[tuple[str, int]]:
+        """Links of the arm of robot `index`, and the obstacles that they touch at a position."""
+        return []
 
     def _disturbed(self) -> NDArray[Any]:
         """Where a push or a shift is due: half the straight line's length is travelled."""

@@ -64,6 +64,11 @@ class Fleet:
             raise InvalidInputError("an episode has ended: reset the environment before executing")
         self.size = len(self.scenes)
 
+    @property
+    def _places(self) -> list[tuple[BlockReachVector, int]]:
+        """Where each robot is."""
+        return [(part, i) for part in self._parts for i in range(part.num_envs)]
+
     def _gather(self, name: str) -> Any:
         return np.concatenate([getattr(part, name) for part in self._parts])
 
@@ -94,8 +99,7 @@ class Fleet:
         indices = [
             scene.check_target(target) for scene, target in zip(self.scenes, targets, strict=True)
         ]
-        places = [(part, i) for part in self._parts for i in range(part.num_envs)]
-        for (part, i), index in zip(places, indices, strict=True):
+        for (part, i), index in zip(self._places, indices, strict=True):
             part.set_target(i, index)
 
     def safe(self, actions: Array, positions: Array, velocities: Array) -> Array:
@@ -105,19 +109,22 @@ class Fleet:
             rows = slice(first, first := first + part.num_envs)
             safe[rows] = safe_actions(
                 actions[rows], positions[rows], velocities[rows], self.workspace, self.limit,
-                self.lag, part.barriers,
+                self.lag, part.barriers, part.planes,
             )  # fmt: skip
         return safe
 
-    def arm_contacts(self, trajectories: Array, rows: Sequence[int]) -> NDArray[np.int64]:
-        """How often the whole arms of robots `rows (N,)` touch obstacles, `(N,)`.
+    def arm_gaps(self, trajectory: Array, row: int) -> tuple[Array, Array]:
+        """How far the arm of robot `row` keeps off obstacles on `trajectory (T, D)` [m].
 
-        See `BlockReachVector.arm_contacts` for `trajectories (N, T, D)` [m].
+        See `BlockReachVector.arm_gaps`.
         """
-        places = [(part, i) for part in self._parts for i in range(part.num_envs)]
-        pairs = zip(trajectories, rows, strict=True)
-        touching = [places[row][0].arm_contacts(t[None], [places[row][1]])[0] for t, row in pairs]
-        return np.array(touching, dtype=np.int64)
+        part, index = self._places[row]
+        return part.arm_gaps(trajectory, index)
+
+    def arm_touches(self, position: Array, row: int) -> list[tuple[str, int]]:
+        """See `BlockReachVector.arm_touches`."""
+        part, index = self._places[row]
+        return part.arm_touches(position, index)
 
     def step(
         self, actions: Array, active: NDArray[np.bool_]

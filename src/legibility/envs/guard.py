@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,7 @@ _ABSENT = -1e6  # the radius of a solid that is not there [m]
 _TOUCH = 1e-10  # [m], by which a step may sink in by rounding
 _CONTACT = 1e-8  # [m]
 _STANDOFF = 1e-6  # [m]; on a surface itself the direction of the gradient is lost in rounding
+_ARM_STANDOFF = 0.003  # [m], for what an arm's links do that its hand does not
 _HALVINGS = 12
 _SWEEPS = 12
 CORRECTED = 1e-9
@@ -144,6 +146,27 @@ class Barriers:
         return np.concatenate([slope, slope], axis=1), np.concatenate(offsets, axis=1)
 
 
+class Planes(NamedTuple):
+    """Planes between parts of `B` robots and obstacles, which move with the robot's position.
+
+    An arm's hand does, as it does not turn; the links behind it move less than the hand.
+
+    Attributes:
+        normals: `(B, C, D)`, away from the obstacles; 0 where there is none.
+        gaps: `(B, C)` [m], between the two; inf where there is none.
+    """
+
+    normals: Array
+    gaps: Array
+
+    def limits(self, rows: NDArray[np.intp], coasts: Array) -> tuple[Array, Array]:
+        """Displacements that keep robots `rows (N,)` off, as `Barriers.planes` for `coasts`."""
+        normals = self.normals[rows]
+        offsets = np.maximum(_ARM_STANDOFF - self.gaps[rows], -1.0)  # not −inf
+        rest = offsets - (normals * coasts[:, None]).sum(-1)
+        return np.concatenate([normals] * 2, axis=1), np.concatenate([offsets, rest], axis=1)
+
+
 def _stack(values: Sequence[Array], shape: tuple[int, ...], absent: float | Array) -> Array:
     """Values `(P, …)` of `B` scenes as `(B, P)` sets of one, with `absent` in free places."""
     filled = np.empty((len(values), *shape))
@@ -197,6 +220,7 @@ def safe_actions(
     limit: float,
     lag: float,
     barriers: Barriers | None = None,
+    planes: Planes | None = None,
 ) -> Array:
     """Displacements that are safe to send, `(..., D)` [m].
 
@@ -214,6 +238,7 @@ def safe_actions(
         limit: largest displacement along each axis [m].
         lag: λ in [0, ½], the largest lag that the actuator may have.
         barriers: what the robots must keep off; then all arrays are `(B, D)`.
+        planes: what all other parts of the robots must keep off, likewise.
     """
     wanted = np.nan_to_num(np.asarray(actions, dtype=np.float64))  # ±inf becomes ±1.8e308
     # Scaled, not clipped: a long step keeps its direction.
@@ -223,12 +248,21 @@ def safe_actions(
     rest = positions + coasts
     least, most = low - np.minimum(rest, positions), high - np.maximum(rest, positions)
     wanted = np.clip(np.clip(wanted, least, most), -limit, limit)
-    if barriers is None:
+    if barriers is None and planes is None:
         return wanted
     reach = np.linalg.norm(coasts, axis=-1) + np.sqrt(positions.shape[-1]) * limit
-    near = barriers.nearest(positions[:, None], inflated=True)[0].min(1) < reach
+    near = np.zeros(len(reach), dtype=bool)
+    if barriers is not None:
+        near |= barriers.nearest(positions[:, None], inflated=True)[0].min(1) < reach
+    if planes is not None:
+        near |= planes.gaps.min(1) < reach + _ARM_STANDOFF
     if (rows := np.flatnonzero(near)).size:
-        normals, offsets = barriers.rows(rows).planes(positions[rows], coasts[rows])
+        found = (
+            [] if barriers is None else [barriers.rows(rows).planes(positions[rows], coasts[rows])]
+        )
+        if planes is not None:
+            found.append(planes.limits(rows, coasts[rows]))
+        normals, offsets = (np.concatenate(x, axis=1) for x in zip(*found, strict=True))
         box = np.stack([np.maximum(least[rows], -limit), np.minimum(most[rows], limit)])
         wanted[rows] = _kept_off(wanted[rows], normals, offsets, box)
     return wanted

@@ -7,8 +7,9 @@ import importlib
 import os
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,9 @@ _TOLERANCE = 1e-7
 
 _OBSTACLES = 5
 """The group of the obstacles' geoms."""
+
+NEAR = 0.06
+"""Gap between a link and an obstacle up to which it is measured [m]: more than a step's reach."""
 
 _STEP = 0.01
 """Distance between the points at which a trajectory is checked for contacts [m]."""
@@ -75,7 +79,9 @@ def physics(obstacles: tuple[Obstacle, ...] = ()) -> Any:
     for obstacle in obstacles:
         form, size, pose = solid_geom(obstacle)
         turn = _quaternion(pose[:3, :3])
-        spec.worldbody.add_geom(type=form, size=size, pos=pose[:3, 3], quat=turn, group=_OBSTACLES)
+        spec.worldbody.add_geom(
+            type=form, size=size, pos=pose[:3, 3], quat=turn, group=_OBSTACLES, margin=NEAR
+        )
     return spec.compile()
 
 
@@ -168,31 +174,64 @@ def _shared_kinematics() -> Kinematics:
     return Kinematics()
 
 
-def touching(obstacles: tuple[Obstacle, ...], angles: Array) -> NDArray[np.bool_]:
-    """Whether an arm at `angles (T, 7)` [rad] touches an obstacle, `(T,)`.
+class Nearby(NamedTuple):
+    """Pairs of a link and an obstacle that are at most `NEAR` apart.
+
+    Attributes:
+        links: `(C,)`, names of the links.
+        obstacles: `(C,)`, indices of the obstacles.
+        gaps: `(C,)` [m], below 0 in contact.
+        normals: `(C, 3)`, from the obstacle to the link, across a plane that separates them.
+    """
+
+    links: list[str]
+    obstacles: NDArray[np.intp]
+    gaps: Array
+    normals: Array
+
+
+def nearby(obstacles: tuple[Obstacle, ...], angles: Array) -> Iterator[Nearby]:
+    """What is near obstacles, for each pose of an arm at `angles (T, 7)` [rad].
 
     All links that move count, with the shapes that collide in the simulation.
     """
     mujoco, model = import_mujoco(), physics(obstacles)
     data, solid = mujoco.MjData(model), model.geom_group == _OBSTACLES
-    touched = np.zeros(len(angles), dtype=bool)
-    for step, pose in enumerate(angles):
+    first = int(np.argmax(solid))
+    for pose in angles:
         data.qpos = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
-        pairs, gaps = data.contact.geom[: data.ncon], data.contact.dist[: data.ncon]
-        touched[step] = (solid[pairs].any(-1) & (gaps < 0)).any()
-    return touched
+        contact, number = data.contact, data.ncon
+        pairs = contact.geom[:number]
+        (rows,) = np.nonzero(solid[pairs].any(-1))
+        pairs, from_obstacle = pairs[rows], solid[pairs[rows, 0]]
+        links = model.geom_bodyid[np.where(from_obstacle, pairs[:, 1], pairs[:, 0])]
+        yield Nearby(
+            [model.body(link).name for link in links],
+            np.where(from_obstacle, pairs[:, 0], pairs[:, 1]) - first,
+            contact.dist[rows],
+            np.where(from_obstacle, 1, -1)[:, None] * contact.frame[rows, :3],
+        )
 
 
-def postures(trajectory: Array) -> Array:
-    """Angles `(P, 7)` [rad] of an arm whose grasp point follows `trajectory (T, 3)` [m].
+def obstacle_gaps(obstacles: tuple[Obstacle, ...], angles: Array) -> Array:
+    """Least gap [m] between an arm at `angles (T, 7)` [rad] and an obstacle, `(T,)`.
 
-    By inverse kinematics, 1 cm at a time.
+    It is below 0 in contact, and `NEAR` at most.
     """
+    return np.array([near.gaps.min(initial=NEAR) for near in nearby(obstacles, angles)])
+
+
+def checked_points(trajectory: Array) -> Array:
+    """Points `(P, 3)` [m] of `trajectory (T, 3)` [m] at which an arm is checked, 1 cm apart."""
+    return resample(trajectory, int(np.ceil(arc_length(trajectory) / _STEP)) + 2)
+
+
+def postures(points: Array) -> Array:
+    """Angles `(P, 7)` [rad] that lead the grasp point through `points (P, 3)` [m], near in turn."""
     kinematics = _shared_kinematics()
-    points = resample(trajectory, int(np.ceil(arc_length(trajectory) / _STEP)) + 2)
     angles = [kinematics.solve(points[0])]
     for point in points[1:]:
         angles.append(angles[-1] + kinematics.step(angles[-1], point))

@@ -15,7 +15,7 @@ from ..data.configuration import SceneStream
 from ..drivers import Driver, Feedback, Policy, Replay
 from ..envs import vector_type
 from ..envs.block_reach import BlockReachVector
-from ..errors import InvalidInputError
+from ..errors import InvalidInputError, InvalidSceneError
 from ..intent.observer import Observer
 from ..models.path_policy import PathPolicy
 from ..modulator import Modulator
@@ -26,6 +26,7 @@ from ..parallel import pool, threads
 from ..rollout import Rollout
 from ..scene import Scene
 from ..seeds import plan_seeds, stream_seed
+from ..whole_arm import arm_can_pass
 from .common import Progress, counter, execute, gather, silent, world
 from .configuration import ExecutionConfig
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
@@ -65,6 +66,7 @@ _Task = tuple[str, list[Scene], Array, list[int], list[Path] | None]
 
 _DISTURBANCE = 2.0
 _NEAR = 0.05
+_MOST_SCENES = 8  # drawn for each that is asked, if the robot can pass none
 
 
 def evaluate_execution(
@@ -78,7 +80,8 @@ def evaluate_execution(
     """Execute plans of `modulator` by stage 2 and by the controllers that it is compared with.
 
     Every row of `ROWS` has the same scenes, levels, plans, hidden gains, lags and disturbances. The
-    metrics do not depend on the number of workers, each of which runs on one thread.
+    metrics do not depend on the number of workers, each of which runs on one thread. A scene whose
+    obstacles let no motion of the whole robot pass is counted, and the next one is taken.
 
     Arguments as of `evaluate_dial`; the model needs both stages.
 
@@ -87,7 +90,7 @@ def evaluate_execution(
         all rollouts (not where the target moved: a label belongs to a scene), the deviation from
         the curve followed at the time over the length of the first curve, violations, among them
         `contacts` (steps) in `touching` rollouts, and the environment's counts; `env`;
-        `disturbance` [m].
+        `disturbance` [m]; `impassable`, the number of scenes drawn that the robot cannot pass.
     """
     policy = modulator.path_policy
     if policy is None:
@@ -103,8 +106,15 @@ def evaluate_execution(
     advance = counter(progress, config.scenes + len(ROWS) * config.rollouts)
     rows: dict[str, dict[str, Any]] = {}
     with pool(workers, cluster) as work:
-        scores_of = partial(_scores_of, source, modulator.config.observer)
-        archives = gather(work, scores_of, range(config.scenes), lambda _: advance(1))
+        scores_of = partial(_scores_of, source, modulator.config.observer, kind)
+        archives, tried = list[Archive](), 0
+        while len(archives) < config.scenes:
+            more = range(tried, tried + config.scenes - len(archives))
+            tried = more.stop
+            found = gather(work, scores_of, more, lambda archive: advance(archive is not None))
+            archives += [archive for archive in found if archive is not None]
+            if not archives and tried >= _MOST_SCENES * config.scenes:
+                raise InvalidSceneError(f"{world(kind)} can pass none of {tried} random scenes")
         scenes = [archives[i].scene for i in scene_of.tolist()]
         tasks: list[_Task] = []
         for first in range(0, config.rollouts, at_once):
@@ -125,11 +135,21 @@ def evaluate_execution(
             if row.disturbance == "shift":
                 for metric in ("spearman", "error", "within_5_cm"):
                     del rows[name][metric]
-    return {"rows": rows, "env": world(kind), "disturbance": disturbance}
+    impassable = tried - config.scenes
+    return {
+        "rows": rows, "env": world(kind), "disturbance": disturbance, "impassable": impassable,
+    }  # fmt: skip
 
 
-def _scores_of(source: SceneStream, observer: Observer, index: int) -> Archive:
-    """A scene's archive without its curves, which are large; labels are read off the scores."""
+def _scores_of(
+    source: SceneStream, observer: Observer, kind: type[BlockReachVector], index: int
+) -> Archive | None:
+    """A scene's archive without its curves, which are large; labels are read off the scores.
+
+    None if the robot cannot pass the scene.
+    """
+    if not arm_can_pass(kind, source.scene(index), observer):
+        return None
     archive = source.archive(index, observer)
     nothing = np.empty(0)
     return replace(archive, controls=nothing, trajectories=nothing, descriptors=nothing)
@@ -196,6 +216,7 @@ def _metrics(
         "contacts": sum(r.contacts for r in rollouts),
         "touching": sum(r.contacts > 0 for r in rollouts),
         "corrections": sum(r.corrections for r in rollouts),
+        "replaced": sum(bool(r.path.replaced) for r in rollouts),
         "wall_contacts": sum(r.wall_contacts for r in rollouts),
         "states_outside": int(((states < low - 1e-9) | (states > high + 1e-9)).any(-1).sum()),
         "farthest_outside": float(np.maximum(low - states, states - high).max()),

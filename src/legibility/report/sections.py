@@ -93,12 +93,22 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
         f"{config['rollouts']:,} rollouts a row on {scenes_of(document)}, "
         f"{REGIMES[config['regime']]}, ℓ uniform in [−1, 1], in {result['env']}. Contacts are "
         "steps into an obstacle or another goal's block. A push displaces the robot, a shift the "
-        f"target, half-way by {100 * result['disturbance']:g} cm.",
+        f"target, half-way by {100 * result['disturbance']:g} cm." + _replacements(result),
         table,
         f"The plans have a correlation of {correlation} and an error of {error}. All rows had "
         f"{', '.join(violations)} (at most {1e3 * farthest:.1f} mm outside)."
         + (f" Stage 2, undisturbed, had {', '.join(counts)}." if counts else ""),
     ]
+
+
+def _replacements(result: dict[str, Any]) -> str:
+    """What obstacles made of scenes and plans; nothing of results that do not tell."""
+    text = ""
+    if impassable := result.get("impassable"):
+        text += f" {impassable} more scenes were drawn that the robot cannot pass."
+    if replaced := result["rows"]["policy"].get("replaced"):
+        text += f" The archive's nearest curve stood in for {replaced} plans."
+    return text
 
 
 def spectrum_section(document: dict[str, Any]) -> list[Part]:
