@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -75,11 +77,9 @@ class Conditions:
         """The inputs of `scenes`, the i-th with goal `targets[i]` and observer `observers[i]`."""
         images, vectors, odds, solids = [], [], [], []
         for scene, target, observer in zip(scenes, targets, observers, strict=True):
-            field = observer.field(scene)
-            images.append(scene_image(scene, target, field, resolution))
-            vectors.append(scene_vector(scene, target, field))
-            odds.append(scene_odds(scene, target, field))
-            solids.append(scene_solids(scene, target))
+            parts = _scene_inputs(scene, target, observer, resolution)
+            for values, value in zip((images, vectors, odds, solids), parts, strict=True):
+                values.append(value)
         slopes, intercepts, distractors = map(list, zip(*odds, strict=True))
         arrays = (
             np.stack(images), np.stack(vectors),
@@ -177,6 +177,18 @@ class Conditions:
         along = (points - centre[:, None]) @ axes
         inward = torch.where(along > 0, -torch.ones_like(along), torch.ones_like(along))
         return half[:, None] - along.abs(), (axes, inward)
+
+
+@functools.lru_cache(maxsize=64)  # each draw asks for them
+def _scene_inputs(
+    scene: Scene, target: int, observer: Observer, resolution: int
+) -> tuple[Any, ...]:
+    """Image, vector, odds and solids of a scene, see `inputs`."""
+    field = observer.field(scene)
+    return (
+        scene_image(scene, target, field, resolution), scene_vector(scene, target, field),
+        scene_odds(scene, target, field), scene_solids(scene, target),
+    )  # fmt: skip
 
 
 def _length(vectors: Tensor) -> Tensor:
