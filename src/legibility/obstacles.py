@@ -292,7 +292,9 @@ class Solids(NamedTuple):
 
     def _polygons(self, xp: Any, columns: Any, gradient: bool) -> tuple[Any, Any]:
         """As `_boxes`, `(..., Q, K)` and `(..., Q, 2, K)`."""
-        edges = xp.roll(self.vertices, -1, -2) - self.vertices
+        # Not `roll`, which takes ten times as long in NumPy.
+        following = xp.concatenate([self.vertices[..., 1:, :], self.vertices[..., :1, :]], -2)
+        edges = following - self.vertices
         corner_x, corner_y = (self.vertices[..., i, None] for i in (0, 1))  # (..., Q, V, 1)
         edge_x, edge_y = (edges[..., i, None] for i in (0, 1))
         squared = edge_x * edge_x + edge_y * edge_y

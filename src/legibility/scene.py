@@ -126,6 +126,8 @@ class Scene:
     def check_target(self, target: int) -> int:
         """The index of a goal; raises `InvalidSceneError` unless a motion can end there."""
         target = target_index(target, self.num_goals)
+        if self.solids(target).distance(self.goals[target, None])[0] >= 0:
+            return target
         self._check_free(f"target goals[{target}]", self.goals[target])
         near = np.linalg.norm(self.distractors(target) - self.goals[target], axis=-1).min()
         if near < self.goal_radius:
@@ -184,7 +186,7 @@ class Scene:
         """G."""
         return len(self.goals)
 
-    @property
+    @functools.cached_property
     def diagonal(self) -> float:
         """Length of the workspace's diagonal [m]."""
         return float(np.linalg.norm(self.workspace[1] - self.workspace[0]))

@@ -24,7 +24,7 @@ from legibility.models.pretrained import load_stages, pretrained_folder, pretrai
 from legibility.modulator import Modulator
 
 seeds = st.integers(0, 2**32 - 1)
-TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16, "curves": 16}
 
 
 def runtime(*packages):

@@ -16,7 +16,7 @@ from legibility.models.diffusion import ddim, noise_schedule, sampling_timesteps
 from legibility.models.inputs import DEPTH, vector_size
 from legibility.models.path_diffuser import PathDiffuser
 
-TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16, "curves": 16}
 
 
 def make(dim=2, seed=0, loud=True, **changes):
@@ -29,6 +29,8 @@ def make(dim=2, seed=0, loud=True, **changes):
         torch.nn.init.normal_(model.no_level)
         model.spread.uniform_(0.5, 2)
     model.signal.copy_(noise_schedule(model.config.diffusion_steps))
+    if model.config.field:
+        model.dial.set_curves(model.config.observer)
     return model.eval()
 
 
@@ -160,7 +162,10 @@ class TestConditions:
         context, times = torch.randn(3, 16), torch.tensor([10, 50, 90])
         with torch.no_grad():
             pairs = [
-                (model.encode_scene(one), model.encode_scene(two)),
+                (
+                    model.encode_scene(one, model.knots(one)),
+                    model.encode_scene(two, model.knots(two)),
+                ),
                 [model(noise(3, dim), times, context, c) for c in (one, two)],
             ]
         for a, b in pairs:
@@ -178,12 +183,16 @@ class TestConditions:
         other = dataclasses.replace(conditions, image=conditions.image + 1)
         for keep, same in (([False] * 3, [True] * 3), ([True, False, True], [False, True, False])):
             keep = torch.tensor(keep)
-            one, two = model.encode_scene(conditions, keep), model.encode_scene(other, keep)
+            one, two = (
+                model.encode_scene(conditions, model.knots(conditions), keep),
+                model.encode_scene(other, model.knots(other), keep),
+            )
             assert [torch.equal(a, b) for a, b in zip(one, two, strict=True)] == same
 
     def test_dropped_level_is_ignored(self):
         model = make()
-        scene = model.encode_scene(conditions_of(model, scenes(2)))
+        conditions = conditions_of(model, scenes(2))
+        scene = model.encode_scene(conditions, model.knots(conditions))
         keep = torch.tensor([False, True, False])
         one = model.encode(scene, torch.tensor([-1.0, -1, 0]), keep)
         two = model.encode(scene, torch.tensor([1.0, 1, 0.5]), keep)
@@ -202,8 +211,13 @@ class TestConditions:
     def test_kept_is_the_default(self):
         model = make()
         conditions = conditions_of(model, scenes(2))
-        scene = model.encode_scene(conditions)
-        assert torch.equal(scene, model.encode_scene(conditions, torch.ones(3, dtype=torch.bool)))
+        scene = model.encode_scene(conditions, model.knots(conditions))
+        assert torch.equal(
+            scene,
+            model.encode_scene(
+                conditions, model.knots(conditions), torch.ones(3, dtype=torch.bool)
+            ),
+        )
         level = torch.tensor([-1.0, 0, 1])
         kept = model.encode(scene, level, torch.ones(3, dtype=torch.bool))
         assert torch.equal(model.encode(scene, level), kept)
@@ -213,7 +227,9 @@ class TestSample:
     def sample(self, model, level=(-1.0, 0.0, 1.0), seed=0, **options):
         dim = model.config.dim
         conditions = conditions_of(model, scenes(dim))
-        return model.sample(conditions, torch.tensor(level), noise(3, dim, seed), **options)
+        return model.sample(
+            conditions, torch.tensor(level), noise(3, dim, seed), **options
+        ).waypoints
 
     @pytest.mark.parametrize("channels", [(8,), (8, 16), (8, 16, 16)])
     def test_shape_and_finite(self, dim, channels):
@@ -235,7 +251,7 @@ class TestSample:
     def test_rows_do_not_meet(self, dim):
         model = make(dim)
         conditions = conditions_of(model, scenes(dim)).map(lambda x: x[1:2])
-        alone = model.sample(conditions, torch.tensor([0.0]), noise(3, dim)[1:2])
+        alone = model.sample(conditions, torch.tensor([0.0]), noise(3, dim)[1:2]).waypoints
         torch.testing.assert_close(alone, self.sample(model)[1:2], atol=1e-5, rtol=1e-5)
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
@@ -244,8 +260,10 @@ class TestSample:
         model, level = make(dim), torch.tensor([-1.0, 0.3, 1])
         conditions = conditions_of(model, scenes(dim))
         times, never = sampling_timesteps(100, 3), torch.zeros(3, dtype=torch.bool)
-        context = model.encode(model.encode_scene(conditions), level)
-        nothing = model.encode(model.encode_scene(conditions, never), level, never)
+        context = model.encode(model.encode_scene(conditions, model.knots(conditions)), level)
+        nothing = model.encode(
+            model.encode_scene(conditions, model.knots(conditions), never), level, never
+        )
         weight = guidance * level[:, None, None] ** 4
 
         def velocity(latent, i):
@@ -256,7 +274,7 @@ class TestSample:
 
         with torch.no_grad():
             expected = model.from_latent(ddim(velocity, noise(3, dim), model.signal, times))
-        found = model.sample(conditions, level, noise(3, dim), guidance=guidance)
+        found = model.sample(conditions, level, noise(3, dim), guidance=guidance).waypoints
         torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
     def test_a_large_batch_is_that_of_each_row(self, dim):
@@ -267,7 +285,8 @@ class TestSample:
         for i in (0, 63, 64, 149):
             alone = whole.map(lambda x, i=i: x[i : i + 1])
             expected = model.sample(alone, level[i : i + 1], noise(150, dim)[i : i + 1])
-            torch.testing.assert_close(found[i : i + 1], expected, atol=1e-4, rtol=1e-4)
+            for all_rows, row in zip(found, expected, strict=True):
+                torch.testing.assert_close(all_rows[i : i + 1], row, atol=1e-4, rtol=1e-4)
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
     def test_one_scene_for_all_levels(self, dim, guidance):
@@ -349,7 +368,9 @@ class TestWithoutField:
         model = make(field=False)
         conditions = conditions_of(model, scenes(2))
         keep = torch.tensor([True, False, True])
-        context = model.encode(model.encode_scene(conditions, keep), torch.ones(3), keep)
+        context = model.encode(
+            model.encode_scene(conditions, model.knots(conditions), keep), torch.ones(3), keep
+        )
         model(noise(3, 2), torch.full((3,), 50), context, conditions, keep).sum().backward()
         assert all(parameter.grad is not None for parameter in model.parameters())
 
@@ -374,7 +395,7 @@ class TestSampler:
         )
         model = make(dim=2, diffusion_steps=20, sampling_steps=20)
         conditions, level = conditions_of(model, scenes(2)[:1]), torch.tensor([0.5])
-        context = model.encode(model.encode_scene(conditions), level)
+        context = model.encode(model.encode_scene(conditions, model.knots(conditions)), level)
         scheduler.set_timesteps(20)
         assert scheduler.timesteps.tolist() == sampling_timesteps(20, 20)
         latent = noise(1, 2)
@@ -396,7 +417,7 @@ def test_level_is_learned_within_a_few_steps():
     wanted = level[:, None, None].expand(3, NUM_WAYPOINTS, 2)
     losses = []
     for _ in range(30):
-        context = model.encode(model.encode_scene(conditions), level)
+        context = model.encode(model.encode_scene(conditions, model.knots(conditions)), level)
         velocity = model(noise(3, 2), torch.full((3,), 99), context, conditions)
         loss = (velocity - wanted).square().mean()
         optimizer.zero_grad()

@@ -11,12 +11,12 @@ from legibility.frame import Frame
 from legibility.models import path_sampler
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.path_diffuser import PathDiffuser
+from legibility.models.path_diffuser import Drawn, PathDiffuser
 from legibility.models.path_sampler import PathSampler, Sampling, Tasks
 
 SCENE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
 BARRED = lg.Scene(SCENE.start, SCENE.goals, obstacles=[lg.Ball([0.4, 0.55], 0.08)])
-TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16, "curves": 16}
 PLAIN = Sampling()
 
 
@@ -43,7 +43,8 @@ class Scripted:
     def __call__(self, conditions, level, noise, **options):
         self.levels.append(level.tolist())
         size = self.sizes.pop(0)
-        return torch.tensor(np.stack([bulge(s) for s in np.broadcast_to(size, len(level))])).float()
+        paths = np.stack([bulge(s) for s in np.broadcast_to(size, len(level))])
+        return Drawn(torch.tensor(paths).float(), None)
 
 
 def scripted(*sizes, **changes):
@@ -71,7 +72,7 @@ class TestDraw:
         scenes = [lg.Scene.random(np.random.default_rng(seed)) for seed in range(3)]
         sampler, _ = scripted(0.2)
         each = Tasks(scenes, [0, 1, 1], [lg.Observer()] * 3, np.zeros(3))
-        paths = sampler.draw(each, 0, PLAIN)
+        paths, _ = sampler.draw(each, 0, PLAIN)
         assert paths.shape == (3, NUM_WAYPOINTS + 2, 2)
         for path, scene, target in zip(paths, scenes, [0, 1, 1], strict=True):
             np.testing.assert_array_equal(path[[0, -1]], [scene.start, scene.goals[target]])
@@ -80,7 +81,7 @@ class TestDraw:
 
     def test_the_seed_alone_decides(self):
         sampler = PathSampler(model := network(), model.sample, "tiny")
-        draws = [sampler.draw(tasks(np.zeros(2)), seed, PLAIN) for seed in (1, 1, 2)]
+        draws = [sampler.draw(tasks(np.zeros(2)), seed, PLAIN)[0] for seed in (1, 1, 2)]
         np.testing.assert_array_equal(draws[0], draws[1])
         assert np.abs(draws[0] - draws[2]).max() > 1e-3
 
@@ -104,7 +105,7 @@ class TestRetries:
 
     def test_the_wrong_side_is_drawn_again_for_a_little_less(self):
         sampler, script = scripted(-0.4, -0.4, 0.4)
-        paths = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
+        paths, _ = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
         assert np.diff(np.concatenate(script.levels)).max() < 0
         assert min(script.levels)[0] > 0.9
         assert score(paths[0]) > score(np.linspace(SCENE.start, SCENE.goals[0], 10))
@@ -112,7 +113,7 @@ class TestRetries:
     def test_only_those_on_the_wrong_side(self):
         sampler, script = scripted([0.4, 0.4, -0.4], [-0.4])
         levels = np.array([1.0, -0.5, -1.0])
-        paths = sampler.draw_with_retries(tasks(levels), 0, PLAIN)
+        paths, _ = sampler.draw_with_retries(tasks(levels), 0, PLAIN)
         assert [len(level) for level in script.levels] == [3, 1]
         assert script.levels[1][0] == pytest.approx(-0.5 * 0.97)
         straight = score(np.linspace(SCENE.start, SCENE.goals[0], 10))
@@ -141,7 +142,7 @@ class TestRetries:
         """What leads away from the other goal for one target leads toward it for the other."""
         sampler, script = scripted([0.4, 0.4], -0.4)
         each = Tasks([SCENE] * 2, [0, 1], [lg.Observer()] * 2, np.array([1.0, 1.0]))
-        paths = sampler.draw_with_retries(each, 0, PLAIN)
+        paths, _ = sampler.draw_with_retries(each, 0, PLAIN)
         assert [len(level) for level in script.levels] == [2, 1]
         np.testing.assert_allclose(paths[0], through(0.4), atol=1e-6)
 
@@ -149,14 +150,14 @@ class TestRetries:
 class TestContact:
     def test_what_touches_is_drawn_again_and_the_first_clear_one_taken(self):
         sampler, script = scripted([0.4, 0.0], [0.0, 0.02, 0.04, 0.3, 0.0, 0.4, 0.0, 0.0])
-        paths = sampler.draw_with_retries(tasks([0.5, -0.3], BARRED), 0, PLAIN)
+        paths, _ = sampler.draw_with_retries(tasks([0.5, -0.3], BARRED), 0, PLAIN)
         assert [len(level) for level in script.levels] == [2, 8]
         np.testing.assert_allclose(script.levels[1], -0.3)
         np.testing.assert_allclose(paths, [through(0.4), through(0.3)], atol=1e-6)
 
     def test_or_the_one_that_touches_least(self):
         sampler, _ = scripted(0.0, [0.0, 0.02, 0.04, 0.01, 0.05, 0.0, 0.0, 0.0])
-        paths = sampler.draw_with_retries(tasks(0.5, BARRED), 0, PLAIN)
+        paths, _ = sampler.draw_with_retries(tasks(0.5, BARRED), 0, PLAIN)
         np.testing.assert_allclose(paths[0], through(0.05), atol=1e-6)
 
     def test_margin(self):

@@ -12,6 +12,7 @@ from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.intent.observer import Observer
+from legibility.models.path_diffuser import Drawn
 from legibility.training.configuration import PathTrainingConfig
 from legibility.training.loop import Run
 from legibility.training.path import PathBatches, train_path, validate_dial
@@ -182,9 +183,10 @@ class TestLoss:
             config = dataclasses.replace(SHORT, **{k: factor * w for k, w in weights.items()})
             batches = PathBatches(data, model, config, CPU)
             loss, parts = batches.loss(model, torch.Generator().manual_seed(0))
-            assert parts.keys() == {"velocity", "label", "contact", "jerk"}
+            assert parts.keys() == {"velocity", "label", "contact", "jerk", "dial"}
             more = 2 * parts["label"] + 3 * parts["contact"] + parts["jerk"] / 2
-            torch.testing.assert_close(loss.detach(), parts["velocity"] + factor * more)
+            rest = parts["velocity"] + parts["dial"]
+            torch.testing.assert_close(loss.detach(), rest + factor * more)
 
     def test_batch_in_which_all_conditions_are_dropped(self, data):
         model = tiny_diffuser(data)
@@ -217,7 +219,7 @@ class TestValidation:
     def test_of_a_model_that_always_draws_the_same(self, data, monkeypatch):
         model = tiny_diffuser(data).eval()
         straight = model.from_latent(torch.zeros(len(data.scenes), 8, 2))
-        monkeypatch.setattr(model, "sample", lambda *_, **__: straight)
+        monkeypatch.setattr(model, "sample", lambda *_, **__: Drawn(straight, None))
         batches = PathBatches(data, model, SHORT, CPU)
         figures = validate_dial(model, batches)
         assert all(np.isfinite(value) for value in figures.values())
@@ -258,7 +260,13 @@ def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):
         steps=120, scenes=16, per_scene=8, warmup=20, learning_rate=4e-3, ema=0.95,
         score_weight=1.0, validate_every=120, checkpoint_every=120,
     )  # fmt: skip
-    shape = {"channels": (16, 32), "condition": 32, "encoder_width": 8, "resolution": 16}
+    shape = {
+        "channels": (16, 32),
+        "condition": 32,
+        "encoder_width": 8,
+        "resolution": 16,
+        "curves": 16,
+    }
     metrics = train_path(data, validation, Run(tmp_path / "run", CPU), how, **shape).metrics
     assert metrics["validation_spearman"] > 0.5
     assert metrics["validation_error"] < 0.45

@@ -1,7 +1,7 @@
 """The information potential field: how clearly each point reveals the target."""
 
-import functools
-from collections.abc import Sequence
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,6 +98,23 @@ class Field:
             f"beta={self.beta:g}, log_prior={self.log_prior.tolist()})"
         )
 
+    def seen_from(self, origin: Array, scale: float) -> Field:
+        """The same field in lengths of `scale` [m] from `origin (D,)` [m], where φ is the same.
+
+        Checked already, so that it takes a tenth of the time of a new one.
+        """
+        field = object.__new__(Field)
+        vars(field).update(
+            goals=(self.goals - origin) / scale,
+            precision=self.precision * scale**2,
+            beta=self.beta * scale,
+            log_prior=self.log_prior,
+            _origin=(self._origin - origin) / scale,
+            _slope=self._slope * scale,
+            _intercept=self._intercept,
+        )
+        return field
+
     @property
     def prior(self) -> Array:
         """P(g), `(G,)`."""
@@ -117,7 +134,7 @@ class Field:
     @np.errstate(under="ignore")
     def log_posterior(self, x: ArrayLike) -> Array:
         """`log P(g|x)` for every goal, `(..., G)`, of points `(..., D)` [m]."""
-        logits = np.stack(self._logits(x), axis=-1)
+        logits = np.moveaxis(self._logits(x), 0, -1)
         logits -= logits.max(axis=-1, keepdims=True)  # log 2 is lost beside a large number
         return logits - np.logaddexp.reduce(logits, axis=-1, keepdims=True)
 
@@ -133,7 +150,7 @@ class Field:
         Finite for every finite x, and exact to rounding where it is tiny.
         """
         logits = self._logits(x, target_index(target, self.num_goals))
-        return potential_of_odds([o for g, o in enumerate(logits) if g != target])
+        return potential_of_odds(np.delete(logits, target, axis=0))
 
     @np.errstate(under="ignore")
     def potential_and_gradient(self, x: Array, target: int) -> tuple[Array, Array]:
@@ -160,8 +177,8 @@ class Field:
         posterior[..., target] = -against / total
         return potential, (posterior[..., None, :] @ pull)[..., 0, :]
 
-    def _logits(self, x: ArrayLike, target: int | None = None) -> list[Array]:
-        """`log P(g) − E_g(x)` of each goal, `(...)`, less that of `target` or a common term."""
+    def _logits(self, x: ArrayLike, target: int | None = None) -> Array:
+        """`log P(g) − E_g(x)` of each goal, `(G, ...)`, less that of `target` or a common term."""
         points = finite_array("x", x, min_ndim=1, last=self.dim)
         if np.abs(points).max(initial=0) > _FARTHEST:
             points = points / np.maximum(1, np.abs(points).max(-1, keepdims=True) / _FARTHEST)
@@ -171,18 +188,18 @@ class Field:
             slope = slope - slope[:, target, None]
             intercept = intercept - intercept[target]
             zero = self.goals[target] - self._origin
-        # One goal at a time: sums over a short last axis are slow in NumPy.
-        logits = [offset @ slope[:, g] + intercept[g] for g in range(self.num_goals)]
+        # Points come last: sums over a short last axis are slow in NumPy.
+        columns = np.ascontiguousarray(offset.reshape(-1, self.dim).T)[:, None]  # (D, 1, N)
+        logits = slope.T @ columns[:, 0] + intercept[:, None]
         if self.beta:
-            from_zero = _length(offset - zero)
-            for g, goal in enumerate(self.goals - self._origin):
-                # ‖x − g‖ − ‖x − zero‖ without a difference of large numbers.
-                between, apart = goal - zero, _length(offset - goal) + from_zero
-                closer = (2 * offset - goal - zero) @ between
-                logits[g] += self.beta * np.divide(
-                    closer, apart, out=np.zeros(np.shape(apart)), where=apart > 0
-                )
-        return logits
+            goals, zero = (self.goals - self._origin).T[..., None], zero[:, None, None]
+            apart = _length(columns - goals) + _length(columns - zero)
+            # ‖x − g‖ − ‖x − zero‖ without a difference of large numbers.
+            closer = ((2 * columns - goals - zero) * (goals - zero)).sum(0)
+            logits += self.beta * np.divide(
+                closer, apart, out=np.zeros(apart.shape), where=apart > 0
+            )
+        return logits.reshape(-1, *points.shape[:-1])
 
     def grid(self, workspace: ArrayLike, resolution: int, target: int) -> Array:
         """φ at the centres of a uniform grid over `workspace (2, D)` [m].
@@ -232,25 +249,28 @@ class InformationPotentialField(Field):
 
 
 def _is_semidefinite(matrix: Array) -> bool:
+    if not matrix.any():
+        return True
     values = np.linalg.eigvalsh(matrix)
     is_symmetric = np.allclose(matrix, matrix.T, rtol=_ROUNDING, atol=_ROUNDING * values[-1])
     return is_symmetric and bool(values[0] >= -_ROUNDING * values[-1])
 
 
-def _length(points: Array) -> Array:
-    return np.sqrt(np.einsum("...d,...d->...", points, points))
+def _length(columns: Array) -> Array:
+    """Length `(...)` of vectors `(D, ...)`."""
+    return np.sqrt((columns * columns).sum(0))
 
 
-def potential_of_odds(odds: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+def potential_of_odds(odds: np.ndarray) -> np.ndarray:
     """`φ = log(1 + Σ_g exp(odds_g))` (eq. 3) of log odds `log P(g|x) − log P(g*|x)`, `(...)`.
 
     Stable for odds of any size, and of their dtype.
 
     Args:
-        odds: of each of the G − 1 distractors, `(...)`.
+        odds: of the distractors, `(G − 1, ...)`.
     """
     against = odds[0]
     if len(odds) > 1:
-        top = functools.reduce(np.maximum, odds)
-        against = top + np.log(sum(np.exp(o - top) for o in odds))
+        top = odds.max(0)
+        against = top + np.log(np.exp(odds - top).sum(0))
     return np.maximum(against, 0) + np.log1p(np.exp(-np.abs(against)))

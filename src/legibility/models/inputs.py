@@ -13,7 +13,7 @@ import numpy as np
 
 from ..checks import Array
 from ..frame import Frame
-from ..intent.field import Field
+from ..intent.field import Field, potential_of_odds
 from ..scene import Scene
 
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.75, 1.75))
@@ -37,9 +37,16 @@ def scene_image(scene: Scene, target: int, field: Field, resolution: int) -> np.
         posterior of the target, its potential as log(1 + φ)/2, and the margin m to obstacles, other
         goals and walls, in lengths of the straight line, as tanh(2m).
     """
-    frame = Frame.of(scene, target)
-    points = frame.frame_to_world(_grid(scene.dim, resolution))
-    potential = field.potential(points, target).astype(np.float32)
+    frame, columns = Frame.of(scene, target), _grid(scene.dim, resolution)
+    slopes, intercepts, others = _odds(scene, target, field)
+    odds = slopes @ columns + intercepts[:, None]
+    if field.beta:
+        goals = np.concatenate([np.eye(1, scene.dim), others])
+        apart = sum((x - g[:, None]) ** 2 for x, g in zip(columns, goals.T, strict=True))
+        apart = np.sqrt(apart)
+        odds += field.beta * frame.scale * (apart[0] - apart[1:])
+    potential = potential_of_odds(odds).astype(np.float32)
+    points = frame.frame_to_world(columns.T)
     margin = (scene.margin_at(points, target) / frame.scale).astype(np.float32)
     image = np.stack([np.exp(-potential), np.log1p(potential) / 2, np.tanh(2 * margin)])
     return image.reshape(-1, resolution, resolution)
@@ -47,13 +54,13 @@ def scene_image(scene: Scene, target: int, field: Field, resolution: int) -> np.
 
 @functools.lru_cache(maxsize=8)
 def _grid(dim: int, resolution: int) -> Array:
-    """The image's points in the frame, `(N, D)`, in the order of its pixels."""
+    """The image's points in the frame, `(D, N)`, in the order of its pixels."""
     sizes = (resolution, resolution, DEPTH)[:dim]
     axes = [
         low + (np.arange(size) + 0.5) / size * (high - low)
         for (low, high), size in zip(WINDOW[:dim], sizes, strict=True)
     ]
-    grid = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1).reshape(-1, dim)
+    grid = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1]).reshape(dim, -1)
     grid.setflags(write=False)
     return grid
 
@@ -91,14 +98,18 @@ def scene_odds(scene: Scene, target: int, field: Field) -> tuple[np.ndarray, ...
         Slopes `(G − 1, D)`, intercepts `(G − 1,)` and positions `(G − 1, D)` of the distractors,
         float32; β is the last of `scene_vector`.
     """
+    return tuple(array.astype(np.float32) for array in _odds(scene, target, field))
+
+
+def _odds(scene: Scene, target: int, field: Field) -> tuple[Array, Array, Array]:
+    """`scene_odds` in float64."""
     frame = Frame.of(scene, target)
     goals, precision = frame.world_to_frame(scene.goals), _precision(frame, field)
     prior = field.log_prior - (goals @ precision * goals).sum(-1) / 2
     others = [g for g in range(scene.num_goals) if g != target]
     slopes = (goals[others] - goals[target]) @ precision
     intercepts = np.clip(prior[others] - prior[target], -_MOST_ODDS, _MOST_ODDS)
-    arrays = (slopes, intercepts, goals[others])
-    return tuple(array.astype(np.float32) for array in arrays)
+    return slopes, intercepts, goals[others]
 
 
 def _precision(frame: Frame, field: Field) -> Array:

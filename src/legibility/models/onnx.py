@@ -62,6 +62,7 @@ class _OnnxStage:
     def __init__(self, model: Any, graph: bytes) -> None:
         self.model, self.graph, self.config = model, graph, model.config
         self._session, self._weights = _session(model, graph)
+        self._read = {node.name for node in self._session.get_inputs()}  # none for polygons in 3D
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.model, self.graph)  # a session cannot go to another process
@@ -75,8 +76,7 @@ class _OnnxStage:
                     f"{name.removeprefix('sampling_')} must be the model's own {fixed:g} with "
                     f"backend 'onnx', got {value:g}; backend 'torch' takes others"
                 )
-        read = {node.name for node in self._session.get_inputs()}  # none for polygons in 3D
-        return self._session.run(None, {k: v for k, v in inputs.items() if k in read})
+        return self._session.run(None, {k: v for k, v in inputs.items() if k in self._read})
 
 
 class OnnxPathDiffuser(_OnnxStage):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -77,11 +78,9 @@ class Conditions:
         """The inputs of `scenes`, the i-th with goal `targets[i]` and observer `observers[i]`."""
         images, vectors, odds, solids = [], [], [], []
         for scene, target, observer in zip(scenes, targets, observers, strict=True):
-            field = observer.field(scene)
-            images.append(scene_image(scene, target, field, resolution))
-            vectors.append(scene_vector(scene, target, field))
-            odds.append(scene_odds(scene, target, field))
-            solids.append(scene_solids(scene, target))
+            parts = _scene_inputs(scene, target, observer, resolution)
+            for values, value in zip((images, vectors, odds, solids), parts, strict=True):
+                values.append(value)
         slopes, intercepts, distractors = map(list, zip(*odds, strict=True))
         arrays = (
             np.stack(images), np.stack(vectors),
@@ -192,6 +191,18 @@ class Drawn(NamedTuple):
 
     waypoints: Tensor
     cost: Tensor | None
+
+
+@functools.lru_cache(maxsize=64)  # each draw asks for them
+def _scene_inputs(
+    scene: Scene, target: int, observer: Observer, resolution: int
+) -> tuple[Any, ...]:
+    """Image, vector, odds and solids of a scene, see `inputs`."""
+    field = observer.field(scene)
+    return (
+        scene_image(scene, target, field, resolution), scene_vector(scene, target, field),
+        scene_odds(scene, target, field), scene_solids(scene, target),
+    )  # fmt: skip
 
 
 def _length(vectors: Tensor) -> Tensor:

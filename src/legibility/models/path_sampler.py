@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
 from ..errors import CheckpointError, InvalidInputError
 from ..frame import Frame
-from ..intent.metrics import SCORE_POINTS
+from ..intent.metrics import SCORE_POINTS, score_weights
 from ..intent.observer import Observer
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
@@ -212,12 +213,11 @@ class PathSampler:
         """Indices of the paths that are clearly on the other side of the straight line than ℓ."""
         ratio = np.ones(len(tasks))
         for row, scene, target, observer in tasks.rows():
-            straight = straight_waypoints(scene.start, scene.goals[target])
-            if not scene.feasible(straight, target):
+            straight = _straight_score(scene, target, observer)
+            if straight is None:
                 continue  # ℓ = 0 is another curve
-            curves = path_curve(np.concatenate([paths[row], straight[None]]), SCORE_POINTS)
-            costs = _LEAST_COST - observer.score(curves, scene, target)
-            ratio[row] = costs[:-1] / costs[-1]
+            scores = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
+            ratio[row] = (_LEAST_COST - scores) / (_LEAST_COST - straight)
         return np.flatnonzero(np.log(ratio) * np.sign(tasks.levels) > _TOLERANCE)
 
 
@@ -240,6 +240,17 @@ def _exact(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArra
         better = their_error < error[rows]
         paths[rows[better]], replaced[rows[better]] = elites[better], True
     return paths, replaced
+
+
+@functools.lru_cache(maxsize=64)  # each draw asks for it
+def _straight_score(scene: Scene, target: int, observer: Observer) -> float | None:
+    """The score of the straight line, None if it is blocked."""
+    straight = straight_waypoints(scene.start, scene.goals[target])
+    if not scene.feasible(straight, target):
+        return None
+    points = np.linspace(straight[0], straight[-1], SCORE_POINTS)
+    potential = observer.field(scene).potential(points, target)
+    return float(-potential @ score_weights(SCORE_POINTS, observer.alpha))
 
 
 def nearest_path(archive: Archive, level: float) -> Array:

@@ -66,12 +66,7 @@ class Room:
             (vertices - scene.start) / scale if vertices.shape[-3] else vertices,
             solids.polygon_radii / scale,
         )
-        field = Field(
-            (field.goals - scene.start) / scale,
-            field.precision * scale**2,
-            field.beta * scale,
-            field.log_prior,
-        )
+        field = field.seen_from(scene.start, scale)
         low, high = workspace = (scene.workspace - scene.start) / scale
         ends = np.stack([np.zeros(scene.dim), field.goals[target]])
         progress = np.linspace(0, 1, CURVE_POINTS)
@@ -82,11 +77,12 @@ class Room:
             return np.minimum(np.maximum(margin, 0)[:, None] + rise, PAD).min(0)
 
         below, above = pad(ends - low), pad(high - ends)
-        around = pad(solids.distance(ends)[:, None])[:, 0]
+        line = progress[:, None] * ends[1]
+        apart = solids.distance(line)
+        around = pad(apart[[0, -1], None])[:, 0]
         least = np.minimum(np.minimum(below, above).min(-1), around)
         slack = np.minimum(SLACK, least / 2) - 1e-9 * scene.diagonal / scale
-        line = progress[:, None] * ends[1]
-        straight = bool((solids.distance(line) >= slack).all())
+        straight = bool((apart >= slack).all())
         return cls(
             scale, solids, _balls_around(solids), field, target, workspace,
             low + below, high - above, around, slack, straight,

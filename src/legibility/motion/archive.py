@@ -107,7 +107,7 @@ class Archive:
         """Whether a side of the dial spans so little (`SMALLEST_RANGE`) that labels say little."""
         return min(self.range) < SMALLEST_RANGE
 
-    @property
+    @functools.cached_property
     def shortest_length(self) -> float:
         """Length [m] of the motion at ℓ = 0."""
         return float(arc_length(bezier_trajectories(self.anchor[None], _FINE))[0])
@@ -146,7 +146,7 @@ class Archive:
         knots, values = self._knots
         return np.interp(finite_array("labels", labels), values, knots)
 
-    @property
+    @functools.cached_property
     def _knots(self) -> tuple[Array, Array]:
         if self.observer.label == "rank":
             return label_knots(self.scores, self.labels)
