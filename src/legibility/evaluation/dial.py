@@ -60,6 +60,7 @@ METRICS = {
 LIMITS = {
     "noise": "error of the achieved ℓ by another seed of the archive",
     "spearman": "greatest Spearman correlation given that noise",
+    "waves": "share of the archive's own curves near ±1 that count as waves",
     "below": "nats that the archive spans below ℓ = 0",
     "above": "nats that the archive spans above ℓ = 0",
 }
@@ -172,7 +173,9 @@ def _measure(
     below, above = archive.range
     noise = judge.noise()
     ceiling = spearman_ceiling(np.repeat(levels, config.samples), noise)
-    limits = {"noise": noise, "spearman": ceiling, "below": below, "above": above}
+    limits = {
+        "noise": noise, "spearman": ceiling, "waves": judge.waves, "below": below, "above": above
+    }  # fmt: skip
     return {
         "scene": index,
         "goals": scene.num_goals,
@@ -194,7 +197,8 @@ class _Judge(NamedTuple):
         counted: which of them were asked, `(M,)` bool.
         samples: curves of a level.
         lengths: of the archive's curves [m], `(N,)`.
-        turned: angle [rad] that the archive's curves near −1 and near 1 turn through.
+        turned: mean angle [rad] that the archive's curves near −1 and near 1 turn through.
+        waves: share of these curves that turn `_WAVE` more.
     """
 
     archive: Archive
@@ -203,14 +207,19 @@ class _Judge(NamedTuple):
     samples: int
     lengths: Array
     turned: tuple[float, float]
+    waves: float
 
     @classmethod
     def of(cls, archive: Archive, levels: Array, samples: int) -> "_Judge":
         """The judge by an archive of `samples` curves at each of `levels`."""
         planned = np.unique(np.concatenate([levels, DRAGAN_LEVELS, _THREE]))
-        turned = _turning_near(archive, -1), _turning_near(archive, 1)
+        angles = _turning_near(archive, -1), _turning_near(archive, 1)
+        turned = float(angles[0].mean()), float(angles[1].mean())
+        waves = np.mean([(a > mean + _WAVE).mean() for a, mean in zip(angles, turned, strict=True)])
         lengths = arc_length(archive.trajectories)
-        return cls(archive, planned, np.isin(planned, levels), samples, lengths, turned)
+        return cls(
+            archive, planned, np.isin(planned, levels), samples, lengths, turned, float(waves)
+        )
 
     @property
     def asked(self) -> Array:
@@ -277,8 +286,8 @@ class _Judge(NamedTuple):
         return float(gain / most) if most > _LEAST_GAIN * self.archive.range[1] else None
 
 
-def _turning_near(archive: Archive, level: float) -> float:
-    """Mean angle [rad] that the archive's curves near a level turn through."""
+def _turning_near(archive: Archive, level: float) -> Array:
+    """Angle [rad] that each of the archive's curves near a level turns through."""
     near = np.abs(archive.labels - level) <= _NEAR
     near[archive.nearest(level)] = True
-    return float(turning(bezier_trajectories(archive.controls[near], _POINTS)).mean())
+    return turning(bezier_trajectories(archive.controls[near], _POINTS))

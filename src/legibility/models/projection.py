@@ -20,7 +20,9 @@ from ..scene import Scene
 from .room import CURVE_POINTS, PAD, SLACK, Room
 
 _PARTS = 8  # of a step between two points of a curve, where it is near to something
-_CONTACT, _SCORE, _LENGTH, _JERK = 10.0, 30.0, 1000.0, 1.0  # weights of squares
+_CONTACT, _LENGTH = 10.0, 1000.0  # weights of squares
+_STIFF, _SUPPLE = (300.0, 60.0), (30.0, 3.0)  # those of score and jerk
+_MISSED = 0.02  # error of log(−score) of a stiff path above which a supple one is tried
 _GROWTH = 1.7  # of the weight of contact from step to step
 _STEPS = 10
 _LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
@@ -30,14 +32,14 @@ _LEAST_COST = 1e-12
 _TOUCHING = 1e6  # merit of a path in contact
 _SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
 _TINY = 1e-30
-_SMOOTHING = 0.1  # λ of `smoothed`
+_SMOOTHING = 0.3  # λ of `smoothed`
 
 
 def smoothed(paths: Array) -> Array:
     """Paths `(B, K + 2, D)` without the waves that a network may draw; the ends stay.
 
     The waypoints x of least `‖x − drawn‖² + λ ‖third differences of x‖²`: a zigzag keeps a
-    tenth of its size away from the ends, a bow over the whole path changes by 1 % at most.
+    fifteenth of its size away from the ends, a bow over the whole path changes by 3 % at most.
     """
     return np.concatenate([paths[:, :1], _smoother() @ paths, paths[:, -1:]], axis=1)
 
@@ -83,11 +85,17 @@ def project(
     task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
     rows = np.arange(len(paths))
     best, merit = _descend(task, task.drawn, rows, task.first)
+    rows = np.flatnonzero(merit > _MISSED)
+    if len(rows):
+        more, merits = _descend(task, task.drawn[rows], rows, weights=_SUPPLE)
+        better = merits < merit[rows]
+        best[rows[better]], merit[rows[better]] = more[better], merits[better]
     rows = np.flatnonzero(merit > _RETRY[wanted is not None])
     rows = rows[task.touching[rows]]
     if len(rows):
         ways = _ways_around(room, task.drawn[rows])
-        more, merits = _descend(task, ways.reshape(-1, *paths.shape[1:]), np.tile(rows, len(ways)))
+        ways_of = np.tile(rows, len(ways))
+        more, merits = _descend(task, ways.reshape(-1, *paths.shape[1:]), ways_of, weights=_SUPPLE)
         merits = merits.reshape(len(ways), -1)
         chosen, each = np.argmin(merits, axis=0), np.arange(len(rows))
         better = merits[chosen, each] < merit[rows]
@@ -96,7 +104,7 @@ def project(
         merit[into] = merits[chosen, each][better]
     rows = np.flatnonzero(merit >= _TOUCHING)
     if len(rows):
-        more, merits = _descend(task, best[rows], rows, score=0.0)
+        more, merits = _descend(task, best[rows], rows, weights=(0.0, _SUPPLE[1]))
         better = merits < merit[rows]
         best[rows[better]], merit[rows[better]] = more[better], merits[better]
     moved = (best != task.drawn).any((-2, -1))
@@ -148,7 +156,7 @@ class _Task:
         shortest: float | None,
     ) -> None:
         self.room, self.drawn, self.alpha = room, drawn, observer.alpha
-        self.pull = _matrices(drawn.shape[-1]).shape @ drawn
+        self.pull = _matrices(drawn.shape[-1], 0.0).shape @ drawn
         self.cost = self.longest = np.zeros(len(drawn))
         first = self.curves(drawn, np.arange(len(drawn)))
         self.cost = first.error
@@ -169,7 +177,7 @@ class _Task:
     def curves(self, paths: Array, rows: np.ndarray) -> _Curves:
         """The curves of `paths (B, K + 2, D)`, of which each is of one of the `rows (B,)`."""
         room, size = self.room, NUM_WAYPOINTS * paths.shape[-1]
-        matrices = _matrices(paths.shape[-1])
+        matrices = _matrices(paths.shape[-1], 0.0)
         points = matrices.curve @ paths
         cost, length, slope, tangents = self._cost(points)
         # Near enough for contact between two points, or for the pad.
@@ -220,7 +228,7 @@ class _Task:
         after -= np.einsum("bt,bt->b", shift, progress)[:, None]
         after /= length[:, None]
         tangents = steps / lengths[..., None]
-        matrices = _matrices(points.shape[-1])
+        matrices = _matrices(points.shape[-1], 0.0)
         slope = matrices.spline.T @ (weights[..., None] * slope)
         slope += matrices.change.T @ (after[..., None] * tangents)
         return np.maximum(cost, _LEAST_COST), length, slope, tangents
@@ -243,17 +251,22 @@ class _Task:
             near = clear[:, 1:] + clear[:, :-1] < 1.1 * apart + 2 * SLACK
             row, step = np.nonzero(near & check[:, None])
             if len(row):
-                between = _matrices(paths.shape[-1]).between[step] @ paths[row]
+                between = _matrices(paths.shape[-1], 0.0).between[step] @ paths[row]
                 slack = np.minimum(room.slack[1:], room.slack[:-1])[step]
                 np.minimum.at(worst, row, room.clearance(between).min(-1) - slack)
         return np.where(worst < 0, _TOUCHING - worst, merit)
 
     def step(
-        self, paths: Array, rows: np.ndarray, curves: _Curves, contact: float, score: float
+        self,
+        paths: Array,
+        rows: np.ndarray,
+        curves: _Curves,
+        contact: float,
+        weights: tuple[float, float],
     ) -> Array:
-        """The paths after a step of Gauss–Newton, given the weights of contact and score."""
-        room, dim = self.room, paths.shape[-1]
-        size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
+        """The paths after a step of Gauss–Newton, given the weights of contact, score and jerk."""
+        room, dim, (score, jerk) = self.room, paths.shape[-1], weights
+        size, matrices = NUM_WAYPOINTS * dim, _matrices(dim, jerk)
         points, gap, normal, error, slope, excess, stretch = curves
         error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
         # The score yields to contact.
@@ -288,7 +301,7 @@ def _descend(
     paths: Array,
     rows: np.ndarray,
     curves: _Curves | None = None,
-    score: float = _SCORE,
+    weights: tuple[float, float] = _STIFF,
 ) -> tuple[Array, Array]:
     """The best paths on the way from `paths (B, K + 2, D)`, and their merits `(B,)`.
 
@@ -297,7 +310,7 @@ def _descend(
         paths: each of one of the `rows (B,)`.
         rows: of the task.
         curves: theirs, if known.
-        score: the weight of the score.
+        weights: of score and jerk.
     """
     best, merit = paths.copy(), np.full(len(paths), np.inf)
     left, before = np.arange(len(paths)), np.full(len(paths), np.inf)
@@ -317,7 +330,7 @@ def _descend(
         if not going.all():
             left, paths, rows = left[going], paths[going], rows[going]
             curves = _Curves(*(x[going] for x in curves))
-        paths = task.step(paths, rows, curves, _CONTACT * _GROWTH ** max(0, i - 2), score)
+        paths = task.step(paths, rows, curves, _CONTACT * _GROWTH ** max(0, i - 2), weights)
     return best, merit
 
 
@@ -328,7 +341,7 @@ def _ways_around(room: Room, paths: Array) -> Array:
     other.
     """
     dim = paths.shape[-1]
-    size, matrices = NUM_WAYPOINTS * dim, _matrices(dim)
+    size, matrices = NUM_WAYPOINTS * dim, _matrices(dim, _SUPPLE[1])
     points = matrices.curve @ paths
     lateral = axes_along(np.gradient(points, axis=1))[:, :, 1:]
     sides = np.concatenate([lateral, -lateral], axis=2)  # (B, T, S, D)
@@ -382,8 +395,9 @@ class _Matrices(NamedTuple):
     stiffness: Array
 
 
-@functools.lru_cache(maxsize=2)
-def _matrices(dim: int) -> _Matrices:
+@functools.lru_cache(maxsize=8)
+def _matrices(dim: int, jerk: float) -> _Matrices:
+    """Those of `dim` dimensions, given the weight of jerk, which only the last two depend on."""
     fine = spline_matrix(NUM_WAYPOINTS + 2, _PARTS * (CURVE_POINTS - 1) + 1)
     curve = np.ascontiguousarray(fine[::_PARTS])
     between = fine[:-1].reshape(CURVE_POINTS - 1, _PARTS, -1)[:, 1:]
@@ -391,7 +405,7 @@ def _matrices(dim: int) -> _Matrices:
     outer = (spline[:, :, None] * spline[:, None, :]).reshape(CURVE_POINTS, -1)
     second, third = (np.diff(np.eye(NUM_WAYPOINTS + 2), n=n, axis=0) for n in (2, 3))
     shape = (second.T @ second)[1:-1]
-    smooth = shape + _JERK * (third.T @ third)[1:-1]
+    smooth = shape + jerk * (third.T @ third)[1:-1]
     stiffness = np.kron(smooth[:, 1:-1], np.eye(dim)).astype(np.float64)
     return _Matrices(
         curve, between, spline, np.diff(spline, axis=0), outer, shape, smooth, stiffness
