@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
@@ -165,7 +166,11 @@ class PathSampler:
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         level = torch.from_numpy(tasks.levels.astype(np.float32))
         conditions = self.model.conditions(tasks.scenes, tasks.targets, tasks.observers)
-        drawn = self.sample(conditions, level, noise, **sampling._asdict())
+        readings = None
+        if self.config.field:
+            each = zip(tasks.scenes, tasks.targets, tasks.observers, strict=True)
+            readings = torch.cat([_readings(self.model, *one) for one in each])
+        drawn = self.sample(conditions, level, noise, readings=readings, **sampling._asdict())
         waypoints = drawn.waypoints.double().numpy()
         scores = None if drawn.cost is None else -np.exp(drawn.cost.double().numpy())
         if not (np.isfinite(waypoints).all() and (scores is None or np.isfinite(scores).all())):
@@ -240,6 +245,12 @@ def _exact(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArra
         better = their_error < error[rows]
         paths[rows[better]], replaced[rows[better]] = elites[better], True
     return paths, replaced
+
+
+@functools.lru_cache(maxsize=64)  # each draw asks for them
+def _readings(model: PathDiffuser, scene: Scene, target: int, observer: Observer) -> Tensor:
+    """What the dial reads of a scene, `(1, R)`; no weight changes it."""
+    return model.dial.readings(model.conditions([scene], [target], [observer]))
 
 
 @functools.lru_cache(maxsize=64)  # each draw asks for it
