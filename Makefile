@@ -67,7 +67,7 @@ weights-%: SHOWN = --data $(RUNS)/$*/shown --seed 0
 weights-%: AND = $(SHOWN) --validation $(RUNS)/$*/policy/validation
 weights-%: SHIPPED = src/legibility/weights
 weights-%: $(STAMP)
-	$(LEGIBILITY) $(DATA) --scenes $(SCENES) --out $(RUNS)/$*/data
+	$(LEGIBILITY) $(DATA) --scenes $(SCENES) --views 4 --per-scene 25 --out $(RUNS)/$*/data
 	$(LEGIBILITY) $(DATA) --scenes $(DEMONSTRATED) --regime dragan --views 1 --demonstrations 4 \
 		--out $(RUNS)/$*/shown
 	$(LEGIBILITY) train path $(FROM) --steps $(STEPS) --workers $(WORKERS) \

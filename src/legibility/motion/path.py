@@ -30,8 +30,8 @@ class Path:
         legibility: the requested ℓ, `(B?)`.
         waypoints: `(B?, K + 2, D)` [m]: start, K = 8 waypoints, goal.
         observer: defines ℓ.
-        replaced: `(B?)`, whether no drawn path was feasible, for the whole arm if one executes it,
-            so that the archive's nearest curve stands in for it.
+        replaced: `(B?)`, whether a curve of the archive stands in for the path drawn, which could
+            not be brought out of contact, of the whole arm if one executes it, or to ℓ, if exact.
     """
 
     scene: Scene
