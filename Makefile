@@ -14,7 +14,7 @@ MODELS ?= block-reach-2d panda-block-reach
 RUNS ?= runs
 SCENES ?= 4096
 DEMONSTRATED ?= 3200
-STEPS ?= 12000
+STEPS ?= 3500
 POLICY_STEPS ?= 8000
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1

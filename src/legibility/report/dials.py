@@ -125,8 +125,8 @@ def regimes_tables(documents: dict[str, dict[str, Any]]) -> list[Table]:
     """
     labels = Table(
         "regime", "mode", "scenes", "Spearman: mean", "Spearman: worst scene", "Spearman: limit",
-        "error of ℓ: mean", "error of ℓ: limit", "error in all scenes", "asked 1", "asked −1", "worst scene at ±1",
-        "neighbours in order", "Dragan’s rises",
+        "error of ℓ: mean", "error of ℓ: limit", "error in all scenes", "asked 1", "asked −1",
+        "worst scene at ±1", "neighbours in order", "Dragan’s rises",
         left=range(2),
     )  # fmt: skip
     shapes = Table(
