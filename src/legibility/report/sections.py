@@ -24,8 +24,8 @@ NOTES = (
     "contact and to the score that the dial predicts for ℓ; exact, to the score that the archive "
     "gives ℓ. The judge is always another archive than that. The tables of regimes and the first "
     "table of the README are of scenes in which each side of the dial spans 0.05 nats or more; in "
-    "the others labels rank noise, and each section tells of them. Curves wave if they turn 0.5 rad "
-    "more than the mean of the archive's of that ℓ; the archive's own curves do so in the share "
+    "the others labels rank noise, and each section tells of them. Curves wave if they turn 0.5 "
+    "rad more than the mean of the archive's of that ℓ; the archive's own curves do so in the share "
     "beside it. The way to the optimum is the gain in score over ℓ = 0, over that of the archive's "
     "best curve that is no longer; its median counts.",
     "All methods share scenes, robots and seeds. The oracle is the most legible trajectory of a "
