@@ -25,9 +25,9 @@ NOTES = (
     "gives ℓ. The judge is always another archive than that. The tables of regimes and the first "
     "table of the README are of scenes in which each side of the dial spans 0.05 nats or more; in "
     "the others labels rank noise, and each section tells of them. Curves wave if they turn 0.5 "
-    "rad more than the mean of the archive's of that ℓ; the share of the archive's own that do stands "
-    "beside it. The way to the optimum is the gain in score over ℓ = 0, over that of the archive's "
-    "best curve that is no longer; its median counts.",
+    "rad more than the mean of the archive's of that ℓ; the share of the archive's own that do "
+    "stands beside it. The way to the optimum is the gain in score over ℓ = 0, over that of the "
+    "archive's best curve that is no longer; its median counts.",
     "All methods share scenes, robots and seeds. The oracle is the most legible trajectory of a "
     "scene's archive; brackets in Table I hold the ratio to it, ours to ours and the paper's to "
     "the paper's, and only ratios are comparable: the paper's L_p is of another field. Bold is "
