@@ -19,7 +19,7 @@ from ..intent.metrics import SCORE_POINTS, score_weights
 from ..intent.observer import Observer
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
-from ..motion.path import CHECK_POINTS, straight_waypoints
+from ..motion.path import least_margin, straight_waypoints
 from ..scene import TOUCH, Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
@@ -97,7 +97,7 @@ class Tasks(NamedTuple):
         """Least margin [m] of the curves through `paths (B, K + 2, D)`, `(B,)`, 0 if feasible."""
         margin = np.empty(len(self))
         for row, scene, target, _ in self.rows():
-            least = scene.margin_at(path_curve(paths[row], CHECK_POINTS), target).min(-1)
+            least = least_margin(scene, target, paths[row])
             margin[row] = np.where(least < -TOUCH * scene.diagonal, least, 0.0)
         return margin
 
@@ -270,7 +270,8 @@ def nearest_path(archive: Archive, level: float) -> Array:
     order = np.argsort(np.abs(archive.labels - level), kind="stable")
     for few in np.array_split(order, max(1, len(order) // 64)):
         paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
-        good = np.flatnonzero(scene.feasible(path_curve(paths, CHECK_POINTS), target))
+        least = least_margin(scene, target, paths)
+        good = np.flatnonzero(least >= -TOUCH * scene.diagonal)
         if len(good):
             return paths[good[0]]
     shortest = bezier_trajectories(archive.anchor[None], NUM_WAYPOINTS + 2)
