@@ -143,9 +143,7 @@ class PathSampler:
             if scores is None:
                 wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
             else:
-                wanted, line = scores[row], _straight_score(scene, target, observer)
-                if self.config.observer.label == "anchored" and line is not None:
-                    wanted = np.where(tasks.levels[row] == 0, line, wanted)  # known exactly
+                wanted = scores[row]
             paths[row] = project(smooth, scene, target, observer, wanted)[0]
         touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
