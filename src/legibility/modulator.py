@@ -172,7 +172,10 @@ class Modulator:
         sampling = Sampling(guidance, steps).checked(self.config)
         tasks = self._tasks([scene], [target], [observer], np.repeat(np.atleast_1d(levels), number))
         target, observer = tasks.targets[0], tasks.observers[0]
-        paths, replaced = self.sampler.plan(tasks, seed, sampling, exact=exact, refine=refine)
+        # Candidates differ in score, of which the archive chooses.
+        paths, replaced = self.sampler.plan(
+            tasks, seed, sampling, exact=exact, refine=refine, as_drawn=number > 1
+        )
         if number > 1:
             scores = Path.through(paths, scene, target, tasks.levels, observer).score
             best = nearest_candidates(
