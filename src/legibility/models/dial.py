@@ -70,14 +70,15 @@ class Dial(nn.Module):
         for name, value in constants.items():
             self.register_buffer(name, value, persistent=False)
         inputs, size = KNOTS + 2 * number + 1 + vector_size(dim), 2 * config.condition
+        outlet = nn.Linear(size, KNOTS)
+        nn.init.normal_(outlet.weight, std=1e-3)
+        nn.init.zeros_(outlet.bias)
         self.head = nn.Sequential(
             nn.Linear(inputs, size), nn.SiLU(),
             nn.Linear(size, size), nn.SiLU(),
             nn.Linear(size, size), nn.SiLU(),
-            nn.Linear(size, KNOTS),
+            outlet,
         )  # fmt: skip
-        nn.init.normal_(self.head[-1].weight, std=1e-3)
-        nn.init.zeros_(self.head[-1].bias)
 
     def set_curves(self, observer: Observer) -> None:
         """Take the standard curves of an observer's detour."""

@@ -128,13 +128,14 @@ class PathSampler:
         *,
         exact: bool,
         refine: bool,
-        as_drawn: bool = False,
+        candidates: int = 1,
     ) -> tuple[Array, np.ndarray]:
         """A path for each task, out of contact and with the score that its ℓ asks for.
 
         That is the score that the dial predicts or, if `exact`, that of the scene's archive, whose
         nearest curve is then brought there where that comes nearer than the path drawn. A model
-        without the field keeps the score that it drew, as all do if `as_drawn` and not exact.
+        without the field keeps the score that it drew. Of several `candidates` for a level, one after
+        the other, only the first meets the score, unless exact; the others keep theirs.
 
         Returns:
             `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for the path
@@ -152,10 +153,12 @@ class PathSampler:
                 archive = scene_archive(scene, target, observer)
                 paths[row], replaced[row] = _exact(archive, smooth, tasks.levels[row])
                 continue
-            if scores is None or as_drawn:
-                wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
-            else:
+            if scores is not None and candidates == 1:
                 wanted = scores[row]
+            else:
+                wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
+                if scores is not None:
+                    wanted[::candidates] = scores[row][::candidates]
             paths[row] = project(smooth, scene, target, observer, wanted)[0]
         touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
