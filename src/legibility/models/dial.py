@@ -8,6 +8,7 @@ curves miss.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,15 +71,13 @@ class Dial(nn.Module):
         for name, value in constants.items():
             self.register_buffer(name, value, persistent=False)
         inputs, size = KNOTS + 2 * number + 1 + vector_size(dim), 2 * config.condition
-        outlet = nn.Linear(size, KNOTS)
+        layers = [nn.Linear(a, b) for a, b in pairwise((inputs, size, size, size, KNOTS))]
+        outlet = layers[-1]
         nn.init.normal_(outlet.weight, std=1e-3)
         nn.init.zeros_(outlet.bias)
         self.head = nn.Sequential(
-            nn.Linear(inputs, size), nn.SiLU(),
-            nn.Linear(size, size), nn.SiLU(),
-            nn.Linear(size, size), nn.SiLU(),
-            outlet,
-        )  # fmt: skip
+            layers[0], nn.SiLU(), layers[1], nn.SiLU(), layers[2], nn.SiLU(), outlet
+        )
 
     def set_curves(self, observer: Observer) -> None:
         """Take the standard curves of an observer's detour."""
