@@ -300,3 +300,18 @@ def test_an_arm_keeps_its_links_off():
     moving = np.tile([0.007, 0.0, 0.0], (2, 1))  # it would coast 3 mm
     sent = safe_actions(wanted, still, moving, workspace, 0.02, 0.3, None, Planes(normals, gaps))
     assert sent[0] == pytest.approx([0.004, 0.01, 0], abs=1e-9)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_an_arm_between_two_obstacles_enters_neither(seed):
+    """Whatever is wanted, also nothing: closer than the standoff there may be no step that helps."""
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(64, 2, 3))
+    normals[:, 1] = -normals[:, 0] + 0.2 * normals[:, 1]
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    gaps = rng.uniform(0, 0.004, (64, 2))
+    workspace, still = np.array([[-1.0] * 3, [1.0] * 3]), np.zeros((64, 3))
+    wanted = rng.normal(0, 0.02, (64, 3)) * rng.integers(0, 2, (64, 1))
+    sent = safe_actions(wanted, still, still, workspace, 0.02, 0.3, None, Planes(normals, gaps))
+    assert ((normals * sent[:, None]).sum(-1) + gaps >= -1e-8).all()

@@ -358,3 +358,11 @@ def test_reprs_are_short():
     )
     field = Field([[0, 0], [1, 0]], beta=3)
     assert repr(eval(repr(field))) == repr(field)
+
+
+@pytest.mark.parametrize("shape", [(0,), (3, 0), (0, 3)])
+def test_of_no_points(shape):
+    field = InformationPotentialField([[0.0, 0.0], [1.0, 0.0]])
+    points = np.empty((*shape, 2))
+    assert field.potential(points, 0).shape == shape
+    assert field.posterior(points).shape == (*shape, 2)
