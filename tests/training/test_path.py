@@ -12,6 +12,7 @@ from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.intent.observer import Observer
+from legibility.models.dial import KNOTS, Dial
 from legibility.models.path_diffuser import Drawn
 from legibility.training.configuration import PathTrainingConfig
 from legibility.training.loop import Run
@@ -30,9 +31,9 @@ class TestRun:
     def test_log(self, whole):
         log = rows(whole[0])
         assert [row["step"] for row in log] == [4, 5, 8]
-        assert {"loss", "velocity", "label", "contact", "jerk", "validation_feasible"} <= log[
-            -1
-        ].keys()
+        parts = {"loss", "velocity", "label", "contact", "jerk", "dial"}
+        metrics = {"validation_feasible", "validation_dial_error"}
+        assert parts | metrics <= log[-1].keys()
         assert all(np.isfinite(value) for row in log for value in row.values())
 
     def test_model_is_of_the_data(self, whole, data):
@@ -236,7 +237,7 @@ class TestValidation:
 
         def best(conditions, level, noise, **options):
             nearest = (batches.labels - level[:, None]).abs().argmin(1)
-            return batches.waypoints[torch.arange(len(level)), nearest]
+            return Drawn(batches.waypoints[torch.arange(len(level)), nearest], None)
 
         monkeypatch.setattr(model, "sample", best)
         figures = validate_dial(model, batches)
@@ -245,6 +246,26 @@ class TestValidation:
         assert figures["validation_feasible"] > 0.9
         assert figures["validation_at_1"] > 0.5
         assert figures["validation_at_-1"] < -0.5
+
+    def test_the_dials_error_is_that_of_l_by_the_datas_own(self, data, monkeypatch):
+        model = tiny_diffuser(data).eval()
+        batches = PathBatches(data, model, SHORT, CPU)
+        levels = torch.linspace(-1, 1, KNOTS)
+        true = -batches.scorer.knots[:, :: (len(batches.scorer.values) - 1) // (KNOTS - 1)]
+
+        def error(asked):
+            """Of dials that answer `asked (KNOTS,)` with the score of another ℓ."""
+            found = torch.stack([Dial.at(true, level.expand(len(true))) for level in asked], dim=1)
+            monkeypatch.setattr(batches, "knots", lambda model, scenes: found[scenes])
+            each = torch.arange(len(true))
+            assert (float(batches.scorer.dial_error(each, found)) < 1e-3) == torch.equal(
+                asked, levels
+            )
+            return validate_dial(model, batches)["validation_dial_error"]
+
+        assert error(levels) < 1e-3
+        assert error(levels.flip(0)) == pytest.approx(float((2 * levels).abs().mean()), abs=0.05)
+        assert error(0 * levels) == pytest.approx(float(levels.abs().mean()), abs=0.05)
 
 
 def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):
