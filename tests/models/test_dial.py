@@ -83,7 +83,7 @@ class TestRanks:
         open_, walled = (coarse(dial(), scene) for scene in scenes)
         middle = KNOTS // 2
         assert (walled[:middle] > open_[:middle]).all()
-        np.testing.assert_allclose(walled[middle:], open_[middle:], rtol=0.05)
+        np.testing.assert_allclose(walled[middle:], open_[middle:], rtol=0.1)
         for found, scene in zip((open_, walled), scenes, strict=True):
             archive = build_archive(scene, cells=14, max_candidates=8192)
             assert found[0] == pytest.approx(archive.scores.min(), rel=0.15)

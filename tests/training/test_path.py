@@ -247,25 +247,30 @@ class TestValidation:
         assert figures["validation_at_1"] > 0.5
         assert figures["validation_at_-1"] < -0.5
 
-    def test_the_dials_error_is_that_of_l_by_the_datas_own(self, data, monkeypatch):
+    def test_the_dials_error_is_that_of_the_label(self, data, monkeypatch):
+        """It is that of the ℓ at which the data read the score that the dial gives for ℓ."""
         model = tiny_diffuser(data).eval()
         batches = PathBatches(data, model, SHORT, CPU)
-        levels = torch.linspace(-1, 1, KNOTS)
-        true = -batches.scorer.knots[:, :: (len(batches.scorer.values) - 1) // (KNOTS - 1)]
+        scorer, levels = batches.scorer, torch.linspace(-1, 1, KNOTS)
+        rising = torch.nonzero((scorer.knots.diff(dim=1) > 1e-5).all(dim=1))[:, 0]
+        assert len(rising) > 1
+        true = -scorer.knots[:, :: (len(scorer.values) - 1) // (KNOTS - 1)]
 
-        def error(asked):
-            """Of dials that answer `asked (KNOTS,)` with the score of another ℓ."""
-            found = torch.stack([Dial.at(true, level.expand(len(true))) for level in asked], dim=1)
-            monkeypatch.setattr(batches, "knots", lambda model, scenes: found[scenes])
-            each = torch.arange(len(true))
-            assert (float(batches.scorer.dial_error(each, found)) < 1e-3) == torch.equal(
-                asked, levels
+        def dials(asked):
+            """Those that answer as if `asked (KNOTS,)`."""
+            return torch.stack([Dial.at(true, level.expand(len(true))) for level in asked], dim=1)
+
+        for asked in (levels, levels.flip(0), 0 * levels):
+            errors = scorer.label_errors(rising, dials(asked)[rising])
+            torch.testing.assert_close(
+                errors, (asked - levels).expand_as(errors), atol=2e-3, rtol=0
             )
-            return validate_dial(model, batches)["validation_dial_error"]
-
-        assert error(levels) < 1e-3
-        assert error(levels.flip(0)) == pytest.approx(float((2 * levels).abs().mean()), abs=0.05)
-        assert error(0 * levels) == pytest.approx(float(levels.abs().mean()), abs=0.05)
+        losses = [scorer.dial_error(rising, dials(x)[rising]) for x in (levels, levels / 2)]
+        assert losses[0] < 1e-4 < losses[1]
+        monkeypatch.setattr(batches, "knots", lambda model, scenes: dials(0 * levels)[scenes])
+        every = scorer.label_errors(torch.arange(len(true)), dials(0 * levels))
+        found = validate_dial(model, batches)["validation_dial_error"]
+        assert found == pytest.approx(float(every.abs().mean()))
 
 
 def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):

@@ -167,7 +167,7 @@ class PathSampler:
         conditions = self.model.conditions(tasks.scenes, tasks.targets, tasks.observers)
         drawn = self.sample(conditions, level, noise, **sampling._asdict())
         waypoints = drawn.waypoints.double().numpy()
-        scores = None if drawn.cost is None else -np.exp(drawn.cost.double().numpy())
+        scores = None if drawn.cost is None else -drawn.cost.double().exp().numpy()
         if not (np.isfinite(waypoints).all() and (scores is None or np.isfinite(scores).all())):
             raise CheckpointError(f"the model {self.name} drew a path that is not finite")
         paths = np.empty((size, NUM_WAYPOINTS + 2, dim))
