@@ -14,7 +14,7 @@ MODELS ?= block-reach-2d panda-block-reach
 RUNS ?= runs
 SCENES ?= 4096
 DEMONSTRATED ?= 3200
-STEPS ?= 12000
+STEPS ?= 3500
 POLICY_STEPS ?= 8000
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -67,7 +67,7 @@ weights-%: SHOWN = --data $(RUNS)/$*/shown --seed 0
 weights-%: AND = $(SHOWN) --validation $(RUNS)/$*/policy/validation
 weights-%: SHIPPED = src/legibility/weights
 weights-%: $(STAMP)
-	$(LEGIBILITY) $(DATA) --scenes $(SCENES) --out $(RUNS)/$*/data
+	$(LEGIBILITY) $(DATA) --scenes $(SCENES) --views 4 --per-scene 25 --out $(RUNS)/$*/data
 	$(LEGIBILITY) $(DATA) --scenes $(DEMONSTRATED) --regime dragan --views 1 --demonstrations 4 \
 		--out $(RUNS)/$*/shown
 	$(LEGIBILITY) train path $(FROM) --steps $(STEPS) --workers $(WORKERS) \

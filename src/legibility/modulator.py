@@ -152,8 +152,9 @@ class Modulator:
                 be those that the model learned.
             exact: meet ℓ to its noise by the scene's archive, which is built once (about 0.2 s) and
                 cached.
-            refine: move paths out of contact; where that fails, the archive's nearest curve stands
-                in. Without it the network's own paths are returned, feasible or not.
+            refine: move paths out of contact and to the score that ℓ asks for; where that fails,
+                the archive's nearest curve stands in. Without it the network's own paths are
+                returned, feasible or not.
             num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
                 to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
                 Between, more than one needs the scene's archive.

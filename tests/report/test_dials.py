@@ -46,13 +46,14 @@ class TestDial:
             column = table.columns.index(f"{mode}: mean")
             assert rows[METRICS["error"]][column] == f"{overall[mode]['error']['mean']:.4f}"
         assert rows[METRICS["error"]][-1] == f"{overall['limits']['noise']['mean']:.4f}"
+        assert rows[METRICS["waves"]][-1] == f"{overall['limits']['waves']['mean']:.4f}"
         assert rows[METRICS["spread"]][-1] == ""
         assert rows[METRICS["error_candidates"]][1] == "–"
 
     def test_ranges(self):
         assert (
-            "spans 0.271 nats below ℓ = 0 (at least 0.170) and 0.281 nats above ℓ = 0 "
-            "(at least 0.180)"
+            "spans 0.281 nats below ℓ = 0 (at least 0.180) and 0.291 nats above ℓ = 0 "
+            "(at least 0.190)"
         ) in text_of(dial_section(documents.dial()))
 
     def test_degenerate_scenes_are_apart(self):

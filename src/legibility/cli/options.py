@@ -100,7 +100,7 @@ class Motions(Place):
         model: name of shipped weights, or a folder; if not given, those of the scene's dimension.
         seed: of every random draw, of paths and in execution.
         candidates: paths drawn for each level; the one nearest to the level is kept.
-        exact: meet each level by the scene's archive, which is built once, and not as drawn.
+        exact: meet each level by the scene's archive, which is built once, and not as predicted.
         refine: move what is drawn out of contact.
     """
 

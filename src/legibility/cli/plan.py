@@ -90,7 +90,7 @@ def plan(
         table, f"mean |achieved − asked| {output.number(error)}", *output.dial_lines(archive)
     )
     if path.replaced.any():
-        problem = "paths are the nearest of the archive: none that was drawn is feasible"
+        problem = "paths are the archive's nearest: the network's could not be brought there"
         output.show(f"{path.replaced.sum()} of {len(asked)} {problem}")
     if not path.feasible.all():
         problem = "paths are not feasible: they come too near to something"

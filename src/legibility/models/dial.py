@@ -7,6 +7,7 @@ curves miss.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,6 +92,11 @@ class Dial(nn.Module):
         """
         with torch.autocast(conditions.vector.device.type, enabled=False):
             size, (number, _, dim) = conditions.vector.shape[0], self.points.shape
+            if (conditions.polygon_radii < 0).all():  # of places that are empty
+                none = {"vertices": conditions.vertices[:, :0]}
+                conditions = replace(
+                    conditions, polygon_radii=conditions.polygon_radii[:, :0], **none
+                )
             points = torch.cat([self.points.flatten(0, 1), self.straight]).expand(size, -1, dim)
             potential, margin = conditions.potential(points), conditions.margin(points)
             inner = number * _POINTS

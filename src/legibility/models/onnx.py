@@ -28,7 +28,7 @@ from .dial import Dial
 from .path_diffuser import Conditions, Drawn, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-_VERSION = 6
+_VERSION = 7
 """Version of the graphs; raising it makes stored graphs be exported again."""
 
 _TRACED = (
@@ -90,6 +90,7 @@ class OnnxPathDiffuser(_OnnxStage):
         *,
         guidance: float | None = None,
         steps: int | None = None,
+        readings: Tensor | None = None,
     ) -> Drawn:
         """See `PathDiffuser.sample`.
 
@@ -97,9 +98,12 @@ class OnnxPathDiffuser(_OnnxStage):
             InvalidInputError: the guidance or the steps are not the model's own.
         """
         size, several = len(level), len(conditions.vector) > 1
+        if readings is None and self.config.field:
+            readings = self.model.dial.readings(conditions)
         waypoints, *cost = self._run(
             {"guidance": guidance, "sampling_steps": steps},
             **{name: tensor.numpy() for name, tensor in vars(conditions).items()},
+            **({} if readings is None else {"readings": readings.numpy()}),
             scene=np.arange(size) if several else np.zeros(size, dtype=np.int64),
             level=level.numpy(),
             noise=noise.numpy(),
@@ -207,9 +211,10 @@ class _Traced(nn.Module):
             features, has_path, noise = inputs
             return self.model.denoise(features, has_path, noise)
         *scenes, scene, level, noise = inputs
+        readings = scenes.pop() if self.model.config.field else None
         conditions = Conditions(*scenes)
         rows = conditions.without_image().map(lambda x: x.index_select(0, scene))
-        knots = self.model.knots(conditions)
+        knots = self.model.knots(conditions, readings)
         encoded = self.model.encode_scene(conditions, knots).index_select(0, scene)
         waypoints = self.model.draw(rows, encoded, level, noise)
         if knots is None:
@@ -239,6 +244,8 @@ def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[i
             continue
         value = torch.cat([value, value[:, :1]], dim=1) if value.shape[1] == 1 else value
         inputs[field.name] = (value, {0: scenes, 1: sizes[number]})
+    if model.config.field:
+        inputs["readings"] = (model.dial.readings(seen), {0: scenes})
     return inputs | {
         "scene": (torch.tensor([0, 1, 2, 1, 0]), {0: rows}),
         "level": (torch.zeros(5), {0: rows}),

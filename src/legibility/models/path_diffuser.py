@@ -258,9 +258,11 @@ class PathDiffuser(nn.Module):
         """`Conditions.of` for the model's resolution."""
         return Conditions.of(scenes, targets, observers, self.config.resolution)
 
-    def knots(self, conditions: Conditions) -> Tensor | None:
-        """The scene's dial, see `Dial`; None without the field."""
-        return self.dial(self.dial.readings(conditions)) if self.config.field else None
+    def knots(self, conditions: Conditions, readings: Tensor | None = None) -> Tensor | None:
+        """The scene's dial, see `Dial`, by its `readings` if known; None without the field."""
+        if not self.config.field:
+            return None
+        return self.dial(self.dial.readings(conditions) if readings is None else readings)
 
     def encode_scene(
         self, conditions: Conditions, knots: Tensor | None, keep: Tensor | None = None
@@ -348,7 +350,7 @@ class PathDiffuser(nn.Module):
         *,
         guidance: float | None = None,
         steps: int | None = None,
-        knots: Tensor | None = None,
+        readings: Tensor | None = None,
     ) -> Drawn:
         """Draw paths in the start–target frame, by deterministic DDIM.
 
@@ -360,10 +362,10 @@ class PathDiffuser(nn.Module):
             noise: `(B, K, D)` standard normal.
             guidance: weight w at ℓ = ±1; the configuration's if not given.
             steps: of the sampler; the configuration's if not given.
-            knots: from `knots`, if they are known.
+            readings: of the dial, if they are known.
         """
         with torch.autocast(noise.device.type, enabled=False):
-            knots = self.knots(conditions) if knots is None else knots
+            knots = self.knots(conditions, readings)
             scene = self.encode_scene(conditions, knots)
             waypoints = self.draw(conditions, scene, level, noise, guidance, steps)
         return Drawn(waypoints, None if knots is None else Dial.at(knots, level))

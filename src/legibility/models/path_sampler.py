@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
@@ -18,7 +19,7 @@ from ..intent.metrics import SCORE_POINTS, score_weights
 from ..intent.observer import Observer
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
-from ..motion.path import CHECK_POINTS, straight_waypoints
+from ..motion.path import least_margin, straight_waypoints
 from ..scene import TOUCH, Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
@@ -96,7 +97,7 @@ class Tasks(NamedTuple):
         """Least margin [m] of the curves through `paths (B, K + 2, D)`, `(B,)`, 0 if feasible."""
         margin = np.empty(len(self))
         for row, scene, target, _ in self.rows():
-            least = scene.margin_at(path_curve(paths[row], CHECK_POINTS), target).min(-1)
+            least = least_margin(scene, target, paths[row])
             margin[row] = np.where(least < -TOUCH * scene.diagonal, least, 0.0)
         return margin
 
@@ -142,7 +143,9 @@ class PathSampler:
             if scores is None:
                 wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
             else:
-                wanted = scores[row]
+                wanted, line = scores[row], _straight_score(scene, target, observer)
+                if self.config.observer.label == "anchored" and line is not None:
+                    wanted = np.where(tasks.levels[row] == 0, line, wanted)  # known exactly
             paths[row] = project(smooth, scene, target, observer, wanted)[0]
         touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
@@ -165,7 +168,11 @@ class PathSampler:
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         level = torch.from_numpy(tasks.levels.astype(np.float32))
         conditions = self.model.conditions(tasks.scenes, tasks.targets, tasks.observers)
-        drawn = self.sample(conditions, level, noise, **sampling._asdict())
+        readings = None
+        if self.config.field:
+            each = zip(tasks.scenes, tasks.targets, tasks.observers, strict=True)
+            readings = torch.cat([_readings(self.model, *one) for one in each])
+        drawn = self.sample(conditions, level, noise, readings=readings, **sampling._asdict())
         waypoints = drawn.waypoints.double().numpy()
         scores = None if drawn.cost is None else -drawn.cost.double().exp().numpy()
         if not (np.isfinite(waypoints).all() and (scores is None or np.isfinite(scores).all())):
@@ -242,6 +249,12 @@ def _exact(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArra
     return paths, replaced
 
 
+@functools.lru_cache(maxsize=64)  # each draw asks for them
+def _readings(model: PathDiffuser, scene: Scene, target: int, observer: Observer) -> Tensor:
+    """What the dial reads of a scene, `(1, R)`; no weight changes it."""
+    return model.dial.readings(model.conditions([scene], [target], [observer]))
+
+
 @functools.lru_cache(maxsize=64)  # each draw asks for it
 def _straight_score(scene: Scene, target: int, observer: Observer) -> float | None:
     """The score of the straight line, None if it is blocked."""
@@ -259,7 +272,8 @@ def nearest_path(archive: Archive, level: float) -> Array:
     order = np.argsort(np.abs(archive.labels - level), kind="stable")
     for few in np.array_split(order, max(1, len(order) // 64)):
         paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
-        good = np.flatnonzero(scene.feasible(path_curve(paths, CHECK_POINTS), target))
+        least = least_margin(scene, target, paths)
+        good = np.flatnonzero(least >= -TOUCH * scene.diagonal)
         if len(good):
             return paths[good[0]]
     shortest = bezier_trajectories(archive.anchor[None], NUM_WAYPOINTS + 2)

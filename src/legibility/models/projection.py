@@ -19,7 +19,7 @@ from ..intent.observer import Observer
 from ..scene import Scene
 from .room import CURVE_POINTS, PAD, SLACK, Room
 
-_PARTS = 8  # of a step between two points of a curve, where it is near to something
+_PARTS = 32  # of a step between two points of a curve, where it is near to something
 _CONTACT, _LENGTH = 10.0, 1000.0  # weights of squares
 _STIFF, _SUPPLE = (300.0, 60.0), (30.0, 3.0)  # those of score and jerk
 _MISSED = 0.02  # error of log(−score) of a stiff path above which a supple one is tried

@@ -8,16 +8,18 @@ from functools import cached_property
 import numpy as np
 
 from ..checks import Array, count
-from ..curves import NUM_WAYPOINTS, arc_length, path_curve
+from ..curves import NUM_WAYPOINTS, arc_length, path_curve, spline_matrix
 from ..errors import InvalidInputError
 from ..intent.field import Field
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
-from ..scene import Scene
+from ..scene import TOUCH, Scene
 from .archive import Archive, scene_archive
 
 CHECK_POINTS = 768
-"""Points at which a path is checked for contact; fewer miss sharp corners."""
+"""Points at which a path is checked for contact."""
+
+_PARTS = 16  # of a step between two of them, where it is near to something
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +32,8 @@ class Path:
         legibility: the requested ℓ, `(B?)`.
         waypoints: `(B?, K + 2, D)` [m]: start, K = 8 waypoints, goal.
         observer: defines ℓ.
-        replaced: `(B?)`, whether no drawn path was feasible, for the whole arm if one executes it,
-            so that the archive's nearest curve stands in for it.
+        replaced: `(B?)`, whether a curve of the archive stands in for the path drawn, which could
+            not be brought out of contact, of the whole arm if one executes it, or to ℓ, if exact.
     """
 
     scene: Scene
@@ -69,7 +71,9 @@ class Path:
     @cached_property
     def feasible(self) -> np.ndarray:
         """Whether the trajectory keeps clear of everything, `(B?)`."""
-        return self.scene.feasible(self.trajectory(CHECK_POINTS), self.target)
+        waypoints = self.waypoints.reshape(-1, *self.waypoints.shape[-2:])
+        least = least_margin(self.scene, self.target, waypoints)
+        return np.asarray(least >= -TOUCH * self.scene.diagonal).reshape(self.waypoints.shape[:-2])
 
     @cached_property
     def score(self) -> Array:
@@ -107,6 +111,24 @@ class Path:
             waypoints=self.waypoints[index],
             replaced=np.asarray(self.replaced)[index],
         )
+
+
+def least_margin(scene: Scene, target: int, paths: Array) -> Array:
+    """Least margin [m] of the curves through `paths (B, K + 2, D)` [m], `(B,)`.
+
+    More points are looked at between two so near to something that the curve could touch it.
+    """
+    fine = spline_matrix(paths.shape[-2], _PARTS * (CHECK_POINTS - 1) + 1)
+    curves = fine[::_PARTS] @ paths
+    margin = scene.margin_at(curves, target)
+    least = margin.min(-1)
+    steps = np.diff(curves, axis=-2)
+    apart = np.sqrt(np.einsum("btd,btd->bt", steps, steps))
+    row, step = np.nonzero(margin[:, 1:] + margin[:, :-1] < 1.1 * apart)
+    if len(row):
+        between = fine[step[:, None] * _PARTS + np.arange(1, _PARTS)] @ paths[row]
+        np.minimum.at(least, row, scene.margin_at(between, target).min(-1))
+    return least
 
 
 def straight_waypoints(start: Array, goal: Array) -> Array:

@@ -18,7 +18,7 @@ REGIMES = {
 }
 """The scenes and observers of each regime."""
 
-_LIMIT_OF = {"spearman": "spearman", "error": "noise"}
+_LIMIT_OF = {"spearman": "spearman", "error": "noise", "waves": "waves"}
 """The limits that stand beside a metric, by its name."""
 
 
@@ -44,6 +44,11 @@ def percent(share: float) -> str:
 def means(metrics: dict[str, Any], names: Iterable[str], digits: int = 4) -> list[str]:
     """The means of some metrics, – for those that were not measured."""
     return [number(metrics[n]["mean"], digits) if n in metrics else "–" for n in names]
+
+
+def sound(result: dict[str, Any]) -> dict[str, Any]:
+    """The metrics in the scenes whose labels mean something, or in all if there are none."""
+    return result["sound"] or result["overall"]
 
 
 def dial_section(document: dict[str, Any]) -> list[Part]:
@@ -113,32 +118,37 @@ def _degenerate(result: dict[str, Any], modes: list[str]) -> list[Part]:
 def regimes_tables(documents: dict[str, dict[str, Any]]) -> list[Table]:
     """One row for each regime and mode of a model: how exact its dial is, and the shape of curves.
 
+    Of scenes whose labels mean something, see `sound`.
+
     Args:
         documents: results of `legibility evaluate dial` by regime.
     """
     labels = Table(
-        "regime", "mode", "Spearman: mean", "Spearman: worst scene", "Spearman: limit",
-        "error of ℓ: mean", "error of ℓ: limit", "asked 1", "asked −1", "worst scene at ±1",
-        "neighbours in order", "Dragan’s rises",
+        "regime", "mode", "scenes", "Spearman: mean", "Spearman: worst scene", "Spearman: limit",
+        "error of ℓ: mean", "error of ℓ: limit", "error in all scenes", "asked 1", "asked −1",
+        "worst scene at ±1", "neighbours in order", "Dragan’s rises",
         left=range(2),
     )  # fmt: skip
     shapes = Table(
-        "regime", "mode", "feasible", "replaced", "waves", "length: asked 1", "length: asked −1",
-        "of the optimum", left=range(2),
+        "regime", "mode", "feasible", "replaced", "waves", "waves: archive", "length: asked 1",
+        "length: asked −1", "of the optimum", left=range(2),
     )  # fmt: skip
     for regime in [r for r in EVALUATED if r in documents]:
-        overall = documents[regime]["result"]["overall"]
-        for mode in [m for m in MODES if m in overall]:
-            metrics, limits = overall[mode], overall["limits"]
+        result = documents[regime]["result"]
+        counted, limits = sound(result), sound(result)["limits"]
+        for mode in [m for m in MODES if m in counted]:
+            metrics = counted[mode]
             shares = {n: percent(v["mean"]) for n, v in metrics.items()}
             labels.add_row(
                 regime,
                 mode,
+                f"{counted['scenes']} of {result['overall']['scenes']}",
                 number(metrics["spearman"]["mean"], 4),
                 number(metrics["spearman"]["min"]),
                 number(limits["spearman"]["mean"], 4),
                 number(metrics["error"]["mean"], 4),
                 number(limits["noise"]["mean"], 4),
+                number(result["overall"][mode]["error"]["mean"], 4),
                 *means(metrics, ("at_1", "at_-1"), 3),
                 number(min(metrics["at_1"]["min"], -metrics["at_-1"]["max"])),
                 shares["adjacent_order"],
@@ -148,6 +158,7 @@ def regimes_tables(documents: dict[str, dict[str, Any]]) -> list[Table]:
                 regime,
                 mode,
                 *(shares[name] for name in ("feasible", "replaced", "waves")),
+                percent(limits["waves"]["mean"]),
                 *means(metrics, ("length_ratio_at_1", "length_ratio_at_-1"), 2),
                 number(metrics["optimum"]["median"], 2) if "optimum" in metrics else "–",
             )

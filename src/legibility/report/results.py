@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from ..errors import InvalidInputError
 from ..files import read_document
-from .dials import dial_section, eyes_section, percent, regimes_tables
+from .dials import dial_section, eyes_section, percent, regimes_tables, sound
 from .sections import (
     NOTES,
     ablations_section,
@@ -136,7 +136,7 @@ def headline_table(results: Results, models: dict[str, str] | None = None) -> Ta
             table.add_row(text, *cells)
 
     def mean(metric: str, mode: str = "quick") -> Callable[[Any], str]:
-        return lambda result: number(result["overall"][mode][metric]["mean"], 4)
+        return lambda result: number(sound(result)[mode][metric]["mean"], 4)
 
     with well_formed("a result is not what `legibility` writes"):
         add("Spearman correlation of asked and achieved ℓ", "dial", mean("spearman"), "dragan")

@@ -21,10 +21,13 @@ NOTES = (
     "`plan_one_core_ms` and `plan_obstacles_ms` on one core, the last, if exact, in scenes whose "
     "archive is there.",
     "Paths come in three modes: bare, as the network draws them; quick, the default, moved out of "
-    "contact at the score that was drawn; exact, at the score that the archive gives ℓ. The judge "
-    "is always another archive than that. Curves wave if they turn 0.5 rad more than the archive's "
-    "of that ℓ. The way to the optimum is the gain in score over ℓ = 0, over that of the archive's "
-    "best curve that is no longer; its median counts.",
+    "contact and to the score that the dial predicts for ℓ; exact, to the score that the archive "
+    "gives ℓ. The judge is always another archive than that. The tables of regimes and the first "
+    "table of the README are of scenes in which each side of the dial spans 0.05 nats or more; in "
+    "the others labels rank noise, and each section tells of them. Curves wave if they turn 0.5 "
+    "rad more than the mean of the archive's of that ℓ; the share of the archive's own that do "
+    "stands beside it. The way to the optimum is the gain in score over ℓ = 0, over that of the "
+    "archive's best curve that is no longer; its median counts.",
     "All methods share scenes, robots and seeds. The oracle is the most legible trajectory of a "
     "scene's archive; brackets in Table I hold the ratio to it, ours to ours and the paper's to "
     "the paper's, and only ratios are comparable: the paper's L_p is of another field. Bold is "

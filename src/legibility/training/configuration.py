@@ -71,7 +71,7 @@ class PathTrainingConfig(TrainingConfig):
         jerk_weight: weight of the loss on jerk beyond that of the path learned.
     """
 
-    steps: int = 4000
+    steps: int = 3500
     warmup: int = 300
     scenes: int = 512
     per_scene: int = 8
@@ -90,7 +90,7 @@ class DistillationConfig(PathTrainingConfig):
         ends: share of the pairs at ℓ = ±1.
     """
 
-    steps: int = 3000
+    steps: int = 4000
     learning_rate: float = 7e-4
     dropout: float = 0.0
     contact_weight: float = 100.0

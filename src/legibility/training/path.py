@@ -173,8 +173,8 @@ class DistillationBatches(PathBatches):
             rows = scenes.repeat_interleave(pairs)
             conditions = self.conditions.map(lambda x, rows=rows: x[rows])
             levels, drawn = self.labels[scenes].flatten(), noise[scenes].flatten(0, 1)
-            knots = self.knots(self.teacher, rows)
-            paths = self.teacher.sample(conditions, levels, drawn, knots=knots).waypoints
+            readings = None if self.readings is None else self.readings[rows]
+            paths = self.teacher.sample(conditions, levels, drawn, readings=readings).waypoints
             self.waypoints[scenes] = paths.unflatten(0, (-1, pairs))
         self.teacher.to(before)
         report(num, num)
@@ -422,7 +422,9 @@ def validate_dial(
     knots = checks.knots(model, scenes)
     for column, level in enumerate(asked):
         levels_asked = level.expand(size)
-        drawn = model.sample(checks.conditions, levels_asked, noise[:, column], knots=knots)
+        drawn = model.sample(
+            checks.conditions, levels_asked, noise[:, column], readings=checks.readings
+        )
         points = checks.scorer.curve(drawn.waypoints)
         achieved[:, column] = checks.scorer.label(checks.conditions, scenes, points).clamp(-1, 1)
         feasible += (checks.conditions.margin(points) >= -1e-3).all(dim=1).float().mean()
