@@ -215,6 +215,19 @@ class TestPlan:
             np.testing.assert_allclose(score(paths), expected, rtol=0.01)
             assert not replaced.any()
 
+    @pytest.mark.parametrize("label", ["anchored", "rank"])
+    def test_at_0_an_anchored_dial_asks_for_the_straight_line(self, label):
+        """Whatever the network predicts; on a dial of ranks 0 is another score."""
+        line, asked = score(np.stack([through(0.0), through(0.15)]))
+        observer = lg.Observer(label=label)
+        cost = torch.full((1,), float(np.log(-asked)))
+        sampler, _ = scripted(0.3, cost=lambda _: cost, observer=observer)
+        one = Tasks([SCENE], [0], [observer], np.zeros(1))
+        paths, _ = sampler.plan(one, 0, PLAIN, exact=False, refine=True)
+        expected = line if label == "anchored" else asked
+        assert abs(np.log(line / asked)) > 0.1
+        np.testing.assert_allclose(score(paths), expected, rtol=0.01)
+
     def test_each_row_meets_the_score_of_its_own_scene(self):
         wanted = [score(through(0.4)[None])[0], score(through(0.3)[None])[0]]
         asked = torch.tensor(np.log(-np.array(wanted)))
