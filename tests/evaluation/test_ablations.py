@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from legibility.data.configuration import DatasetConfig
+from legibility.data.configuration import DatasetConfig, SceneStream
 from legibility.data.dataset import Dataset, generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.evaluation.ablations import COLUMNS, evaluate_ablations, variants
@@ -49,8 +49,8 @@ def data(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def small():
-    """One thread, few scenes to train and validate on, and a plan is timed once."""
+def small(coarsely):
+    """One thread, few scenes to train and validate on, each archive once, and no plan is timed."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
@@ -58,6 +58,7 @@ def small():
         patch.setattr("legibility.evaluation.ablations.plan_milliseconds", lambda *_, **__: 1.5)
         few = functools.partial(PathTrainingConfig, scenes=4, per_scene=4)
         patch.setattr("legibility.evaluation.ablations.PathTrainingConfig", few)
+        patch.setattr(SceneStream, "archive", functools.cache(SceneStream.archive))
         yield
     torch.set_num_threads(threads)
 
