@@ -172,7 +172,9 @@ class Modulator:
         sampling = Sampling(guidance, steps).checked(self.config)
         tasks = self._tasks([scene], [target], [observer], np.repeat(np.atleast_1d(levels), number))
         target, observer = tasks.targets[0], tasks.observers[0]
-        paths, replaced = self.sampler.plan(tasks, seed, sampling, exact=exact, refine=refine)
+        paths, replaced = self.sampler.plan(
+            tasks, seed, sampling, exact=exact, refine=refine, candidates=number
+        )
         if number > 1:
             scores = Path.through(paths, scene, target, tasks.levels, observer).score
             best = nearest_candidates(

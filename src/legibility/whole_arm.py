@@ -27,6 +27,7 @@ MARGIN = 0.01
 """Gap that an arm keeps from obstacles on a path [m], for the motion that deviates from it."""
 
 _DRAWS, _POINTS = 4, 64  # paths drawn, points of a curve that is checked
+_LEFT_OUT = 64  # curves tried of those that touch by all appearances
 
 Plan = Callable[[list[int], Array, int], list[Path]]
 """Paths for some robots, given their indices, positions `(N, D)` [m] and a seed."""
@@ -68,7 +69,10 @@ def drawn_off_obstacles(
 
 
 def arm_can_pass(kind: type[BlockReachVector], scene: Scene, observer: Observer) -> bool:
-    """Whether some curve of the scene's archive to goal 0 keeps the whole robot off obstacles."""
+    """Whether a curve of the scene's archive to goal 0 is found that keeps the robot off obstacles.
+
+    Curves that touch by all appearances are not tried, see `_free_curves`.
+    """
     env = kind(1, max_goals=max(6, scene.num_goals))
     env.reset(seed=0, options={"scene": scene, "target": 0})
     fleet = Fleet(env, 0)
@@ -111,13 +115,14 @@ def _from_archive(fleet: Fleet, row: int, path: Path) -> Path:
             raise InvalidSceneError(
                 f"the arm cannot take part in this scene: with its grasp point at the {name} "
                 f"{point.tolist()} its {link} touches obstacles[{obstacle}], "
-                f"{path.scene.obstacles[obstacle]!r}"
+                f"{fleet.scenes[row].obstacles[obstacle]!r}"
             )
     for free in _free_curves(fleet, row, path, thorough=True):
         return free
     raise InvalidSceneError(
-        f"the arm cannot pass the obstacles to the target goals[{path.target}]: on each of "
-        f"{len(path.archive)} curves that lead there past them one of its links touches one"
+        f"the arm cannot pass the obstacles to the target goals[{path.target}]: of the "
+        f"{len(path.archive)} curves of the archive none was found on which all its links keep off "
+        "them"
     )
 
 
@@ -126,7 +131,7 @@ def _free_curves(fleet: Fleet, row: int, path: Path, *, thorough: bool) -> Itera
 
     The hand does not turn, so a curve that comes nearer to a point in contact than the contact is
     deep touches as well, and needs no inverse kinematics. The links behind the hand do turn:
-    curves left out so come last if the search is to be thorough.
+    curves left out so come last, a few of them, if the search is to be thorough.
     """
     archive = scene_archive(path.scene, path.target, path.observer)
     order = np.argsort(np.abs(archive.labels - float(path.legibility)), kind="stable")
@@ -152,6 +157,6 @@ def _free_curves(fleet: Fleet, row: int, path: Path, *, thorough: bool) -> Itera
             left[index] = False
             if (found := free(index)) is not None:
                 yield found
-    for index in np.flatnonzero(left) if thorough else ():
+    for index in np.flatnonzero(left)[: _LEFT_OUT if thorough else 0]:
         if (found := free(int(index))) is not None:
             yield found

@@ -283,6 +283,6 @@ def _kept_off(actions: Array, normals: Array, offsets: Array, box: Array) -> Arr
             return actions
         actions = np.clip(actions + short[:, None] * normals[rows, worst], *box)
     along, bound = (normals * actions[:, None]).sum(-1), np.minimum(offsets, 0) - _TOUCH
-    over = (offsets <= CORRECTED) & (along < bound)
+    over = along < bound
     shares = np.where(over, bound / np.where(over, along, 1), 1)
     return actions * shares.min(1, keepdims=True)

@@ -137,7 +137,7 @@ def execute_paths(
 def plan_milliseconds(
     modulator: Modulator, scene: Scene, repeats: int = 200, **options: Any
 ) -> float:
-    """Median time [ms] of one plan on one core, after a warm-up."""
+    """Median time [ms] of one plan on one core in a scene that was planned in before."""
     times = []
     for seed in range(repeats + 5):
         start = time.perf_counter()

@@ -66,7 +66,7 @@ _Task = tuple[str, list[Scene], Array, list[int], list[Path] | None]
 
 _DISTURBANCE = 2.0
 _NEAR = 0.05
-_MOST_SCENES = 8  # drawn for each that is asked, if the robot can pass none
+_MOST_SCENES = 16  # drawn for each that is asked
 
 
 def evaluate_execution(
@@ -113,8 +113,11 @@ def evaluate_execution(
             tried = more.stop
             found = gather(work, scores_of, more, lambda archive: advance(archive is not None))
             archives += [archive for archive in found if archive is not None]
-            if not archives and tried >= _MOST_SCENES * config.scenes:
-                raise InvalidSceneError(f"{world(kind)} can pass none of {tried} random scenes")
+            if len(archives) < config.scenes and tried >= _MOST_SCENES * config.scenes:
+                raise InvalidSceneError(
+                    f"{world(kind)} can pass {len(archives)} of {tried} random scenes only, "
+                    f"{config.scenes} are asked"
+                )
         scenes = [archives[i].scene for i in scene_of.tolist()]
         tasks: list[_Task] = []
         for first in range(0, config.rollouts, at_once):

@@ -199,7 +199,7 @@ class Field:
             logits += self.beta * np.divide(
                 closer, apart, out=np.zeros(apart.shape), where=apart > 0
             )
-        return logits.reshape(-1, *points.shape[:-1])
+        return logits.reshape(self.num_goals, *points.shape[:-1])
 
     def grid(self, workspace: ArrayLike, resolution: int, target: int) -> Array:
         """φ at the centres of a uniform grid over `workspace (2, D)` [m].

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from ..checks import Array
 from ..curves import arc_length
+from ..errors import InvalidInputError
 from ..intent.metrics import SCORE_POINTS, score_weights
 from ..intent.observer import Observer
 from ..motion.archive import build_archive
@@ -62,17 +63,22 @@ class Dial(nn.Module):
                 score_weights(SCORE_POINTS, alpha), dtype=torch.float32
             ),
         }
+        self.straight: Tensor
+        self.levels: Tensor
+        self.weights: Tensor
+        self.straight_weights: Tensor
         for name, value in constants.items():
             self.register_buffer(name, value, persistent=False)
         inputs, size = KNOTS + 2 * number + 1 + vector_size(dim), 2 * config.condition
+        outlet = nn.Linear(size, KNOTS)
+        nn.init.normal_(outlet.weight, std=1e-3)
+        nn.init.zeros_(outlet.bias)
         self.head = nn.Sequential(
             nn.Linear(inputs, size), nn.SiLU(),
             nn.Linear(size, size), nn.SiLU(),
             nn.Linear(size, size), nn.SiLU(),
-            nn.Linear(size, KNOTS),
+            outlet,
         )  # fmt: skip
-        nn.init.normal_(self.head[-1].weight, std=1e-3)
-        nn.init.zeros_(self.head[-1].bias)
 
     def set_curves(self, observer: Observer) -> None:
         """Take the standard curves of an observer's detour."""
@@ -171,12 +177,23 @@ def standard_curves(dim: int, observer: Observer, number: int) -> Array:
 
     Elites of its archive, of which the next is always that whose most deviating point is farthest
     from the straight line's and from all before.
+
+    Raises:
+        InvalidInputError: there are fewer curves within the detour.
     """
     start, goal = np.zeros(dim), np.eye(dim)[0]
     distractor, wall = 5 * np.eye(dim)[1], np.full(dim, 100.0)
     room = Scene(start, [goal, distractor], [-wall, wall])
     watching = Observer(detour=observer.detour)
-    archive = build_archive(room, observer=watching, cells=_CELLS[dim])
+    cells = _CELLS[dim]
+    archive = build_archive(room, observer=watching, cells=cells)
+    while len(archive) < number and cells < 8 * _CELLS[dim]:
+        cells *= 2
+        archive = build_archive(room, observer=watching, cells=cells)
+    if len(archive) < number:
+        raise InvalidInputError(
+            f"curves must be at most {len(archive)} for detour {observer.detour:g}, got {number}"
+        )
     points = archive.descriptors
     gaps = np.linalg.norm(points - (start + goal) / 2, axis=-1)
     chosen = np.empty(number, dtype=np.intp)

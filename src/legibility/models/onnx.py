@@ -1,7 +1,7 @@
 """Both stages as ONNX graphs for onnxruntime: the results of PyTorch to rounding, in less time.
 
 A graph depends on a stage's settings, not on its weights: a session takes those from the model. So
-a file of less than 100 kB beside the weights is enough, and retraining needs no new export.
+a small file beside the weights is enough, and retraining needs no new export.
 """
 
 import contextlib

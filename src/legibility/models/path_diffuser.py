@@ -193,7 +193,7 @@ class Drawn(NamedTuple):
     cost: Tensor | None
 
 
-@functools.lru_cache(maxsize=64)  # each draw asks for them
+@functools.lru_cache(maxsize=256)  # each draw asks for them
 def _scene_inputs(
     scene: Scene, target: int, observer: Observer, resolution: int
 ) -> tuple[Any, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from ..motion.path import least_margin, straight_waypoints
 from ..scene import TOUCH, Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
-from .path_diffuser import Drawn, PathDiffuser
+from .path_diffuser import Conditions, Drawn, PathDiffuser
 from .projection import project, smoothed
 
 _RETRIES = 3
@@ -31,6 +31,7 @@ _STEP_BACK = 0.03
 _TOLERANCE = 0.05
 _LEAST_COST = 1e-12
 _DRAWS = 8
+_AT_ONCE, _MOST_KNOWN = 64, 256  # scenes that a dial reads at a time, and those kept
 _EXACT = 0.02  # error of ℓ above which the archive's nearest curve is tried
 
 
@@ -114,15 +115,27 @@ class PathSampler:
     def __init__(self, model: PathDiffuser, sample: Callable[..., Drawn], name: str) -> None:
         self.model, self.sample, self.name = model, sample, name
         self.config = model.config
+        self._known: dict[tuple[Scene, int, Observer], Tensor] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.model, self.sample, self.name)
 
     def plan(
-        self, tasks: Tasks, seed: int, sampling: Sampling, *, exact: bool, refine: bool
+        self,
+        tasks: Tasks,
+        seed: int,
+        sampling: Sampling,
+        *,
+        exact: bool,
+        refine: bool,
+        candidates: int = 1,
     ) -> tuple[Array, np.ndarray]:
         """A path for each task, out of contact and with the score that its ℓ asks for.
 
         That is the score that the dial predicts or, if `exact`, that of the scene's archive, whose
         nearest curve is then brought there where that comes nearer than the path drawn. A model
-        without the field keeps the score that it drew.
+        without the field keeps the score that it drew. Of several `candidates` for a level, one after
+        the other, only the first meets the score, unless exact; the others keep theirs.
 
         Returns:
             `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for the path
@@ -140,12 +153,12 @@ class PathSampler:
                 archive = scene_archive(scene, target, observer)
                 paths[row], replaced[row] = _exact(archive, smooth, tasks.levels[row])
                 continue
-            if scores is None:
-                wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
+            if scores is not None and candidates == 1:
+                wanted = scores[row]
             else:
-                wanted, line = scores[row], _straight_score(scene, target, observer)
-                if self.config.observer.label == "anchored" and line is not None:
-                    wanted = np.where(tasks.levels[row] == 0, line, wanted)  # known exactly
+                wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
+                if scores is not None:
+                    wanted[::candidates] = scores[row][::candidates]
             paths[row] = project(smooth, scene, target, observer, wanted)[0]
         touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
@@ -168,10 +181,7 @@ class PathSampler:
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         level = torch.from_numpy(tasks.levels.astype(np.float32))
         conditions = self.model.conditions(tasks.scenes, tasks.targets, tasks.observers)
-        readings = None
-        if self.config.field:
-            each = zip(tasks.scenes, tasks.targets, tasks.observers, strict=True)
-            readings = torch.cat([_readings(self.model, *one) for one in each])
+        readings = self._readings(tasks, conditions) if self.config.field else None
         drawn = self.sample(conditions, level, noise, readings=readings, **sampling._asdict())
         waypoints = drawn.waypoints.double().numpy()
         scores = None if drawn.cost is None else -drawn.cost.double().exp().numpy()
@@ -182,6 +192,19 @@ class PathSampler:
             paths[row, 1:-1] = Frame.of(scene, target).frame_to_world(waypoints[row])
             paths[row, 0], paths[row, -1] = scene.start, scene.goals[target]
         return paths, scores
+
+    def _readings(self, tasks: Tasks, conditions: Conditions) -> Tensor:
+        """What the dial reads of each scene, `(B, R)`; kept, as each draw asks for it."""
+        keys = list(zip(tasks.scenes, tasks.targets, tasks.observers, strict=True))
+        new = [i for i, key in enumerate(keys) if key not in self._known]
+        for first in range(0, len(new), _AT_ONCE):
+            rows = new[first : first + _AT_ONCE]
+            found = self.model.dial.readings(conditions.map(lambda x, rows=rows: x[rows]))
+            self._known |= zip((keys[i] for i in rows), found, strict=True)
+        readings = torch.stack([self._known[key] for key in keys])
+        for key in list(self._known)[:-_MOST_KNOWN]:
+            del self._known[key]
+        return readings
 
     def draw_with_retries(
         self, tasks: Tasks, seed: int, sampling: Sampling
@@ -247,12 +270,6 @@ def _exact(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArra
         better = their_error < error[rows]
         paths[rows[better]], replaced[rows[better]] = elites[better], True
     return paths, replaced
-
-
-@functools.lru_cache(maxsize=64)  # each draw asks for them
-def _readings(model: PathDiffuser, scene: Scene, target: int, observer: Observer) -> Tensor:
-    """What the dial reads of a scene, `(1, R)`; no weight changes it."""
-    return model.dial.readings(model.conditions([scene], [target], [observer]))
 
 
 @functools.lru_cache(maxsize=64)  # each draw asks for it

@@ -73,7 +73,7 @@ def dial_section(document: dict[str, Any]) -> list[Part]:
             if mode == chief:
                 cells += _spread(overall[mode].get(name))
         limit = _LIMIT_OF.get(name)
-        cells.append(number(overall["limits"][limit]["mean"], 4) if limit else "")
+        cells += means(overall["limits"], [limit]) if limit else [""]
         table.add_row(METRICS[name], *cells)
     parts: list[Part] = [
         f"{scenes_of(document)}: {REGIMES[config['regime']]}. {config['levels']} levels of ℓ, "
@@ -158,7 +158,7 @@ def regimes_tables(documents: dict[str, dict[str, Any]]) -> list[Table]:
                 regime,
                 mode,
                 *(shares[name] for name in ("feasible", "replaced", "waves")),
-                percent(limits["waves"]["mean"]),
+                percent(limits["waves"]["mean"]) if "waves" in limits else "–",
                 *means(metrics, ("length_ratio_at_1", "length_ratio_at_-1"), 2),
                 number(metrics["optimum"]["median"], 2) if "optimum" in metrics else "–",
             )
@@ -168,7 +168,7 @@ def regimes_tables(documents: dict[str, dict[str, Any]]) -> list[Table]:
 def eyes_section(document: dict[str, Any]) -> list[Part]:
     """Whose eyes: rank correlations of ℓ with what other observers see."""
     config, rows = document["config"], document["result"]["rows"]
-    how = "met exactly" if config["exact"] else "as drawn"
+    how = "met exactly" if config["exact"] else "quick plans"
     parts: list[Part] = [
         f"{scenes_of(document)}, {config['levels']} levels of ℓ, {config['samples']} samples of "
         f"each, {how}. The dial is turned for the observer of a row; the cells hold the rank "
