@@ -215,17 +215,15 @@ class TestPlan:
             np.testing.assert_allclose(score(paths), expected, rtol=0.01)
             assert not replaced.any()
 
-    @pytest.mark.parametrize("label", ["anchored", "rank"])
-    def test_at_0_an_anchored_dial_asks_for_the_straight_line(self, label):
-        """Whatever the network predicts; on a dial of ranks 0 is another score."""
-        line, asked = score(np.stack([through(0.0), through(0.15)]))
-        observer = lg.Observer(label=label)
-        cost = torch.full((1,), float(np.log(-asked)))
-        sampler, _ = scripted(0.3, cost=lambda _: cost, observer=observer)
-        one = Tasks([SCENE], [0], [observer], np.zeros(1))
-        paths, _ = sampler.plan(one, 0, PLAIN, exact=False, refine=True)
-        expected = line if label == "anchored" else asked
-        assert abs(np.log(line / asked)) > 0.1
+    def test_of_several_candidates_the_first_meets_the_score_and_the_others_keep_theirs(self):
+        wanted, sizes = score(np.stack([through(0.35), through(-0.2)])), [0.2, 0.1, -0.3, -0.1]
+        asked = torch.tensor(np.log(-wanted)).repeat_interleave(2)
+        drawn = score(np.stack(list(map(through, sizes))))
+        sampler, _ = scripted(sizes, cost=lambda _: asked)
+        four = tasks([0.8, 0.8, -0.5, -0.5])
+        paths, _ = sampler.plan(four, 0, PLAIN, exact=False, refine=True, candidates=2)
+        expected = [wanted[0], drawn[1], wanted[1], drawn[3]]
+        assert (np.abs(np.log(drawn / wanted.repeat(2))) > 0.1).all()
         np.testing.assert_allclose(score(paths), expected, rtol=0.01)
 
     def test_each_row_meets_the_score_of_its_own_scene(self):

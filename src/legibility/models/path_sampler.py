@@ -134,8 +134,8 @@ class PathSampler:
 
         That is the score that the dial predicts or, if `exact`, that of the scene's archive, whose
         nearest curve is then brought there where that comes nearer than the path drawn. A model
-        without the field keeps the score that it drew. Of several `candidates` for a level, one after
-        the other, only the first meets the score, unless exact; the others keep theirs.
+        without the field keeps the score that it drew. Of several `candidates` for a level, which
+        follow each other, only the first meets the score, unless exact; the others keep theirs.
 
         Returns:
             `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for the path
