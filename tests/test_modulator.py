@@ -490,7 +490,7 @@ class TestPretrained:
     dim=st.sampled_from([2, 3]),
     level=st.floats(-1, 1),
 )
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_whatever_the_weights_paths_are_finite_and_inside(seed, scale, dim, level):
     model = make(dim)
     generator = torch.Generator().manual_seed(seed)

@@ -1,12 +1,15 @@
 """The bench runs, and its rows are complete."""
 
+import functools
 import json
 from collections import Counter
 
 import pytest
 
+from legibility.bench import measure
 from legibility.report.sections import bench_section
 from legibility.report.table import Table, markdown
+from legibility.training.configuration import PathTrainingConfig
 
 TINY = (
     "bench --model block-reach-2d --seconds 0.001 --rounds 1 --threads 1 --batches 1 2 --goals 2 4"
@@ -16,8 +19,17 @@ TINY = (
 
 @pytest.fixture(scope="module")
 def folder(cli, tmp_path_factory, one_thread):
+    """Where the bench has written its report, of few scenes and small batches."""
     folder = tmp_path_factory.mktemp("bench")
-    assert cli(TINY, folder / "bench-cpu.json") == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "_SCENES", 6)
+        small = functools.partial(PathTrainingConfig, scenes=4, per_scene=4)
+        patch.setattr(measure, "PathTrainingConfig", small)
+        for made in (measure._scenes, measure._scenes_with_obstacles):
+            made.cache_clear()
+        assert cli(TINY, folder / "bench-cpu.json") == 0
+        for made in (measure._scenes, measure._scenes_with_obstacles):
+            made.cache_clear()
     return folder
 
 

@@ -1,9 +1,11 @@
+import functools
 import json
 from pathlib import Path
 
 from legibility.evaluation.dial import METRICS
 from legibility.evaluation.execution import ROWS
 from legibility.evaluation.eyes import EYES
+from legibility.training.configuration import PathTrainingConfig
 
 
 def test_dial(here, weights, cli, capsys):
@@ -66,6 +68,8 @@ def test_execution(here, executable, one_thread, cli, capsys):
 def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys):
     monkeypatch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
     monkeypatch.setattr("legibility.evaluation.ablations.plan_milliseconds", lambda *_, **__: 1.5)
+    few = functools.partial(PathTrainingConfig, scenes=4, per_scene=4)
+    monkeypatch.setattr("legibility.evaluation.ablations.PathTrainingConfig", few)
     flags = (
         "--scenes 1 --goals 2 --seed 1 --levels 3 --samples 1 --sampling-steps 1 --guidance 0"
         " --training-steps 2 --training-scenes 2 --scene-numbers 4"

@@ -1,12 +1,13 @@
 """Which rows there are, and that none is measured or trained twice."""
 
+import functools
 import json
 
 import numpy as np
 import pytest
 import torch
 
-from legibility.data.configuration import DatasetConfig
+from legibility.data.configuration import DatasetConfig, SceneStream
 from legibility.data.dataset import Dataset, generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.evaluation.ablations import COLUMNS, evaluate_ablations, variants
@@ -17,6 +18,7 @@ from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.pretrained import load_stages, save_stage
+from legibility.training.configuration import PathTrainingConfig
 from legibility.training.loop import LOG
 
 TINY = PathDiffuserConfig(channels=(8,), condition=16, encoder_width=8, resolution=16, curves=16)
@@ -47,13 +49,16 @@ def data(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def small():
-    """One thread, few scenes to validate on, and a plan is timed once."""
+def small(coarsely):
+    """One thread, few scenes to train and validate on, each archive once, and no plan is timed."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
         patch.setattr("legibility.evaluation.ablations.plan_milliseconds", lambda *_, **__: 1.5)
+        few = functools.partial(PathTrainingConfig, scenes=4, per_scene=4)
+        patch.setattr("legibility.evaluation.ablations.PathTrainingConfig", few)
+        patch.setattr(SceneStream, "archive", functools.cache(SceneStream.archive))
         yield
     torch.set_num_threads(threads)
 

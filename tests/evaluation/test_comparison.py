@@ -184,7 +184,7 @@ def test_compare_tests_what_it_says():
 
 @pytest.fixture(scope="module")
 def table1(modulator, policies):
-    config = Table1Config(rollouts=3, seed=3, search_candidates=64)
+    config = Table1Config(rollouts=2, seed=3, search_candidates=64)
     return config, evaluate_table1(modulator, policies, config)
 
 

@@ -35,16 +35,11 @@ WANTED = np.unique([*np.linspace(-1, 1, 5), *DRAGAN_LEVELS])
 
 
 @pytest.fixture(autouse=True, scope="module")
-def quickly():
-    """An archive is built once for all tests, from fewer curves."""
-    small = functools.partial(archives.build_archive, max_candidates=12_288)
+def quickly(coarsely):
+    """The evaluation's archive of a scene is built once for all tests."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(archives, "build_archive", small)
-        patch.setattr("legibility.data.configuration.build_archive", small)
         patch.setattr(SceneStream, "archive", functools.cache(SceneStream.archive))
         yield
-    for cache in (archives.scene_archive, archives._geometry):  # not for other tests
-        cache.cache_clear()
 
 
 class Fake:

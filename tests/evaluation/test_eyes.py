@@ -16,7 +16,7 @@ SMALL = EyesConfig(scenes=2, levels=5, samples=1, exact=True, seed=1)
 
 
 @pytest.fixture(scope="module")
-def found(tiny):
+def found(tiny, coarsely):
     return evaluate_eyes(tiny, SMALL)
 
 

@@ -362,7 +362,7 @@ def test_reprs_are_short():
 
 @pytest.mark.parametrize("shape", [(0,), (3, 0), (0, 3)])
 def test_of_no_points(shape):
-    field = InformationPotentialField([[0.0, 0.0], [1.0, 0.0]])
+    field = InformationPotentialField([[0.0, 0.0], [1.0, 0.0]], 0.15)
     points = np.empty((*shape, 2))
     assert field.potential(points, 0).shape == shape
     assert field.posterior(points).shape == (*shape, 2)

@@ -130,7 +130,7 @@ class TestConditionsAreTheScenes:
         assert (found >= expected - 1e-4).all()
 
     @given(seeds, dims)
-    @settings(max_examples=30)
+    @settings(max_examples=15)
     def test_gradients_are_autograds(self, seed, dim):
         scene, observer = drawn(seed, dim)
         seen, points = conditions(scene, observer), visited(dim, seed).requires_grad_()

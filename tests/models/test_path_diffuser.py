@@ -330,7 +330,7 @@ class TestWithoutField:
         conditions = conditions_of(model, seen, observer=Observer(beta=20.0))
         return model.sample(
             conditions, torch.full((3,), level), noise(3, model.config.dim), **options
-        )
+        ).waypoints
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
     def test_distractors_are_not_seen(self, dim, guidance):
@@ -404,7 +404,7 @@ class TestSampler:
                 velocity = model(latent, time.expand(1), context, conditions)
                 latent = scheduler.step(velocity, int(time), latent).prev_sample
             expected = model.from_latent(latent)
-        found = model.sample(conditions, level, noise(1, 2), guidance=0.0)
+        found = model.sample(conditions, level, noise(1, 2), guidance=0.0).waypoints
         torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
@@ -427,6 +427,7 @@ def test_level_is_learned_within_a_few_steps():
     assert losses[-1] < 0.1 * losses[0]
     model.eval()
     low, high = (
-        model.sample(conditions, torch.full((3,), value), noise(3, 2)) for value in (-1.0, 1.0)
+        model.sample(conditions, torch.full((3,), value), noise(3, 2)).waypoints
+        for value in (-1.0, 1.0)
     )
     assert (low - high).abs().mean() > 0.01

@@ -13,6 +13,7 @@ from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import Drawn, PathDiffuser
 from legibility.models.path_sampler import PathSampler, Sampling, Tasks
+from legibility.motion.archive import scene_archive
 
 SCENE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
 BARRED = lg.Scene(SCENE.start, SCENE.goals, obstacles=[lg.Ball([0.4, 0.55], 0.08)])
@@ -35,20 +36,26 @@ def bulge(size):
 
 
 class Scripted:
-    """In place of `PathDiffuser.sample`: the next of some bulges for each batch of levels."""
+    """In place of `PathDiffuser.sample`: the next of some bulges for each batch of levels.
 
-    def __init__(self, *sizes):
-        self.sizes, self.levels = list(sizes), []
+    Args:
+        sizes: of the bulges.
+        cost: what the dial asks for at levels `(B,)`; that of a model without the field if not
+            given.
+    """
+
+    def __init__(self, *sizes, cost=lambda level: None):
+        self.sizes, self.levels, self.cost = list(sizes), [], cost
 
     def __call__(self, conditions, level, noise, **options):
         self.levels.append(level.tolist())
         size = self.sizes.pop(0)
         paths = np.stack([bulge(s) for s in np.broadcast_to(size, len(level))])
-        return Drawn(torch.tensor(paths).float(), None)
+        return Drawn(torch.tensor(paths).float(), self.cost(level))
 
 
-def scripted(*sizes, **changes):
-    script = Scripted(*sizes)
+def scripted(*sizes, cost=lambda level: None, **changes):
+    script = Scripted(*sizes, cost=cost)
     return PathSampler(network(**changes), script, "script"), script
 
 
@@ -90,6 +97,18 @@ class TestDraw:
         with pytest.raises(CheckpointError, match="the model script drew a path that is not"):
             sampler.draw(tasks(0.0), 0, PLAIN)
 
+    @pytest.mark.parametrize("cost", [np.nan, np.inf, 1e4])
+    def test_nor_a_cost(self, cost):
+        sampler, _ = scripted(0.1, cost=lambda level: torch.full_like(level, cost))
+        with pytest.raises(CheckpointError, match="the model script drew a path that is not"):
+            sampler.draw(tasks([0.0, 1.0]), 0, PLAIN)
+
+    def test_the_score_is_that_of_the_dial(self):
+        sampler, _ = scripted(0.1, cost=lambda level: 2 - level)
+        _, scores = sampler.draw(tasks([-1.0, 0.5]), 0, PLAIN)
+        np.testing.assert_allclose(scores, -np.exp([3, 1.5]))
+        assert scripted(0.1)[0].draw(tasks(0.5), 0, PLAIN)[1] is None
+
 
 class TestRetries:
     @pytest.fixture(autouse=True)
@@ -109,6 +128,12 @@ class TestRetries:
         assert np.diff(np.concatenate(script.levels)).max() < 0
         assert min(script.levels)[0] > 0.9
         assert score(paths[0]) > score(np.linspace(SCENE.start, SCENE.goals[0], 10))
+
+    def test_the_score_stays_that_of_the_level_asked_for(self):
+        sampler, script = scripted(-0.4, 0.4, cost=lambda level: -level)
+        _, scores = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
+        assert len(script.levels) == 2
+        np.testing.assert_allclose(scores, -np.exp(-1.0), rtol=1e-6)
 
     def test_only_those_on_the_wrong_side(self):
         sampler, script = scripted([0.4, 0.4, -0.4], [-0.4])
@@ -174,6 +199,71 @@ class TestPlan:
         paths, replaced = sampler.plan(tasks(0.5, BARRED), 0, PLAIN, exact=False, refine=True)
         assert BARRED.feasible(path_curve(paths, 200), 0).all()
         assert not replaced.any()
+
+    def test_a_quick_plan_meets_the_score_that_the_dial_asks_for(self):
+        """And the curve through a bulge keeps its own where no dial asks for another."""
+        wanted = score(np.stack([through(0.4), through(-0.15), through(0.0)]))
+        asked = torch.tensor(np.log(-wanted))
+        sizes = [0.2, -0.3, 0.1]
+        drawn = score(np.stack(list(map(through, sizes))))
+        assert (np.abs(np.log(drawn / wanted)) > 0.1).all()
+        for cost, expected in ((lambda _: asked, wanted), (lambda _: None, drawn)):
+            sampler, _ = scripted(sizes, cost=cost, field=cost(0) is not None)
+            paths, replaced = sampler.plan(
+                tasks([0.5, -0.5, 0.2]), 0, PLAIN, exact=False, refine=True
+            )
+            np.testing.assert_allclose(score(paths), expected, rtol=0.01)
+            assert not replaced.any()
+
+    def test_of_several_candidates_the_first_meets_the_score_and_the_others_keep_theirs(self):
+        wanted, sizes = score(np.stack([through(0.35), through(-0.2)])), [0.2, 0.1, -0.3, -0.1]
+        asked = torch.tensor(np.log(-wanted)).repeat_interleave(2)
+        drawn = score(np.stack(list(map(through, sizes))))
+        sampler, _ = scripted(sizes, cost=lambda _: asked)
+        four = tasks([0.8, 0.8, -0.5, -0.5])
+        paths, _ = sampler.plan(four, 0, PLAIN, exact=False, refine=True, candidates=2)
+        expected = [wanted[0], drawn[1], wanted[1], drawn[3]]
+        assert (np.abs(np.log(drawn / wanted.repeat(2))) > 0.1).all()
+        np.testing.assert_allclose(score(paths), expected, rtol=0.01)
+
+    def test_each_row_meets_the_score_of_its_own_scene(self):
+        wanted = [score(through(0.4)[None])[0], score(through(0.3)[None])[0]]
+        asked = torch.tensor(np.log(-np.array(wanted)))
+        sampler, _ = scripted([0.2, 0.2], cost=lambda _: asked)
+        each = Tasks([SCENE] * 2, [0, 0], [lg.Observer()] * 2, np.array([0.9, 0.6]))
+        paths, _ = sampler.plan(each, 0, PLAIN, exact=False, refine=True)
+        np.testing.assert_allclose(score(paths), wanted, rtol=0.01)
+
+    def test_an_exact_plan_takes_the_archives_nearest_curve_where_that_comes_nearer(self):
+        """A path on one side of a wall cannot get the score of the other."""
+        wall = lg.Box([0.4, 0.55], [0.5, 0.12], np.arctan2(0.1, 0.8))
+        walled = lg.Scene(SCENE.start, SCENE.goals, obstacles=[wall])
+        archive = scene_archive(walled, 0, lg.Observer())
+        level = archive.label_of(score(np.stack([through(0.4), through(-0.4)])))
+        assert level[1] < level[0] - 0.5
+        levels = np.array([level[0], level[1], level[1]])
+        sampler, _ = scripted([0.4, -0.4, 0.4], cost=lambda level: torch.zeros(len(level)))
+        paths, replaced = sampler.plan(tasks(levels, walled), 0, PLAIN, exact=True, refine=True)
+        assert walled.feasible(path_curve(paths, 200), 0).all()
+        np.testing.assert_allclose(archive.label_of(score(paths)), levels, atol=0.03)
+        assert replaced.tolist() == [False, False, True]
+
+    @pytest.mark.parametrize("better", [True, False])
+    def test_an_exact_plan_keeps_what_was_drawn_where_the_archives_curve_is_no_nearer(
+        self, monkeypatch, better
+    ):
+        """Where neither can be moved."""
+        archive = scene_archive(BARRED, 0, lg.Observer())
+        drawn, elite = through(0.4), through(0.3 if better else 0.5)
+        label = archive.label_of(score(np.stack([drawn, elite])))
+        level = label[1] + 0.1 * (label[1] - label[0]) if better else 2 * label[0] - label[1]
+        monkeypatch.setattr(path_sampler, "project", lambda p, *_: (p, np.ones(len(p), bool)))
+        monkeypatch.setattr(path_sampler, "smoothed", lambda paths: paths)
+        monkeypatch.setattr(path_sampler, "nearest_path", lambda *_: elite)
+        sampler, _ = scripted(0.4)
+        paths, replaced = sampler.plan(tasks(level, BARRED), 0, PLAIN, exact=True, refine=True)
+        assert replaced.tolist() == [better]
+        np.testing.assert_allclose(paths[0], elite if better else drawn, atol=1e-6)
 
     def test_unrefined_is_what_was_drawn(self):
         sampler, _ = scripted(0.05)

@@ -12,6 +12,7 @@ from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.intent.observer import Observer
+from legibility.models.dial import KNOTS, Dial
 from legibility.models.path_diffuser import Drawn
 from legibility.training.configuration import PathTrainingConfig
 from legibility.training.loop import Run
@@ -30,9 +31,9 @@ class TestRun:
     def test_log(self, whole):
         log = rows(whole[0])
         assert [row["step"] for row in log] == [4, 5, 8]
-        assert {"loss", "velocity", "label", "contact", "jerk", "validation_feasible"} <= log[
-            -1
-        ].keys()
+        parts = {"loss", "velocity", "label", "contact", "jerk", "dial"}
+        metrics = {"validation_feasible", "validation_dial_error"}
+        assert parts | metrics <= log[-1].keys()
         assert all(np.isfinite(value) for row in log for value in row.values())
 
     def test_model_is_of_the_data(self, whole, data):
@@ -236,7 +237,7 @@ class TestValidation:
 
         def best(conditions, level, noise, **options):
             nearest = (batches.labels - level[:, None]).abs().argmin(1)
-            return batches.waypoints[torch.arange(len(level)), nearest]
+            return Drawn(batches.waypoints[torch.arange(len(level)), nearest], None)
 
         monkeypatch.setattr(model, "sample", best)
         figures = validate_dial(model, batches)
@@ -245,6 +246,31 @@ class TestValidation:
         assert figures["validation_feasible"] > 0.9
         assert figures["validation_at_1"] > 0.5
         assert figures["validation_at_-1"] < -0.5
+
+    def test_the_dials_error_is_that_of_the_label(self, data, monkeypatch):
+        """It is that of the ℓ at which the data read the score that the dial gives for ℓ."""
+        model = tiny_diffuser(data).eval()
+        batches = PathBatches(data, model, SHORT, CPU)
+        scorer, levels = batches.scorer, torch.linspace(-1, 1, KNOTS)
+        rising = torch.nonzero((scorer.knots.diff(dim=1) > 1e-5).all(dim=1))[:, 0]
+        assert len(rising) > 1
+        true = -scorer.knots[:, :: (len(scorer.values) - 1) // (KNOTS - 1)]
+
+        def dials(asked):
+            """Those that answer as if `asked (KNOTS,)`."""
+            return torch.stack([Dial.at(true, level.expand(len(true))) for level in asked], dim=1)
+
+        for asked in (levels, levels.flip(0), 0 * levels):
+            errors = scorer.label_errors(rising, dials(asked)[rising])
+            torch.testing.assert_close(
+                errors, (asked - levels).expand_as(errors), atol=2e-3, rtol=0
+            )
+        losses = [scorer.dial_error(rising, dials(x)[rising]) for x in (levels, levels / 2)]
+        assert losses[0] < 1e-4 < losses[1]
+        monkeypatch.setattr(batches, "knots", lambda model, scenes: dials(0 * levels)[scenes])
+        every = scorer.label_errors(torch.arange(len(true)), dials(0 * levels))
+        found = validate_dial(model, batches)["validation_dial_error"]
+        assert found == pytest.approx(float(every.abs().mean()))
 
 
 def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):

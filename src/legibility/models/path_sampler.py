@@ -184,7 +184,7 @@ class PathSampler:
         readings = self._readings(tasks, conditions) if self.config.field else None
         drawn = self.sample(conditions, level, noise, readings=readings, **sampling._asdict())
         waypoints = drawn.waypoints.double().numpy()
-        scores = None if drawn.cost is None else -np.exp(drawn.cost.double().numpy())
+        scores = None if drawn.cost is None else -drawn.cost.double().exp().numpy()
         if not (np.isfinite(waypoints).all() and (scores is None or np.isfinite(scores).all())):
             raise CheckpointError(f"the model {self.name} drew a path that is not finite")
         paths = np.empty((size, NUM_WAYPOINTS + 2, dim))
