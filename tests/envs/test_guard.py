@@ -305,7 +305,7 @@ def test_an_arm_keeps_its_links_off():
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_an_arm_between_two_obstacles_enters_neither(seed):
-    """Whatever is wanted, also nothing: closer than the standoff there may be no step that helps."""
+    """Whatever is wanted, also nothing: within the standoff no step may lead out of both."""
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(64, 2, 3))
     normals[:, 1] = -normals[:, 0] + 0.2 * normals[:, 1]
