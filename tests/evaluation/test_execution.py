@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from legibility.data.configuration import SceneStream
-from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import InvalidInputError, InvalidSceneError
 from legibility.evaluation import execution
 from legibility.evaluation.configuration import ExecutionConfig
@@ -149,27 +148,6 @@ class TestMeasuresWhatItSays:
             for seed in (1, 2)
         ]
         assert rows[0] != rows[1]
-
-    def test_progress_and_figures_are_the_same_for_any_number_of_workers(
-        self, modulator, monkeypatch
-    ):
-        some = {name: ROWS[name] for name in ("policy", "policy, pushed", "open loop")}
-        monkeypatch.setattr(execution, "ROWS", some)
-        monkeypatch.setattr(BlockReach2DVector, "at_once", 2)
-        config = ExecutionConfig(scenes=1, rollouts=5)
-        total = 1 + 5 * len(some)
-
-        def measured(workers):
-            counts = []
-            found = evaluate_execution(
-                modulator, config, workers=workers, progress=lambda *count: counts.append(count)
-            )
-            assert counts[-1] == (total, total)
-            assert len(counts) == 1 + 3 * len(some)
-            assert counts == sorted(counts)
-            return found["rows"]
-
-        assert measured(1) == measured(2)
 
 
 def test_past_obstacles(modulator):
