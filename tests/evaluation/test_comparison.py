@@ -158,7 +158,8 @@ class TestContest:
         jobs = [Job(scene, 1, 1.0, 0, i) for i in range(4)]
         contest = Contest(modulator, policies, KIND, (64, 640))
         one, many = (contest.paths(name, jobs, []) for name in OURS)
-        assert np.mean([p.score for p in many]) > np.mean([p.score for p in one])
+        scores = np.array([[p.score for p in paths] for paths in (one, many)])
+        assert (scores[1] >= scores[0] - 1e-6).all()
 
     def test_other_robots_are_refused(self, modulator, policies):
         other = GoalPolicy(GoalPolicyConfig(limit=0.03, channels=(8, 16), condition=16))

@@ -176,7 +176,7 @@ def test_scenes_that_the_robot_cannot_pass_are_counted_and_others_taken(modulato
     scenes = list(dict.fromkeys(r.path.scene for r in executed))
     assert scenes == [stream.scene(1), stream.scene(3)]
     monkeypatch.setattr(execution, "arm_can_pass", lambda *_: False)
-    with pytest.raises(InvalidSceneError, match="BlockReach2D can pass none of 16 random scenes"):
+    with pytest.raises(InvalidSceneError, match="can pass 0 of 32 random scenes only, 2 are"):
         evaluate_execution(modulator, config)
 
 
