@@ -20,6 +20,7 @@ from legibility.models.configuration import PathDiffuserConfig, PathPolicyConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.path_policy import PathPolicy
+from legibility.models.path_sampler import Sampling, Tasks
 from legibility.models.pretrained import pretrained_names
 from legibility.models.provenance import TrainingRecord
 from legibility.modulator import Modulator
@@ -162,7 +163,9 @@ class TestPlan:
         wild[1, 4] = [0.4, 3.0]
         again = np.tile(wild[1], (8, 1, 1))
         monkeypatch.setattr(
-            model.sampler, "draw", lambda tasks, *_: (wild if len(tasks) == 2 else again).copy()
+            model.sampler,
+            "draw",
+            lambda tasks, *_: ((wild if len(tasks) == 2 else again).copy(), None),
         )
         path = model.plan(scene, 0, [0.0, 0.0])
         assert path.feasible.all()
@@ -187,7 +190,9 @@ class TestReproducible:
         np.testing.assert_array_equal(one, other)
 
     def test_other_seed_other_path(self, modulator, scene):
-        one, other = (modulator.plan(scene, 0, 0.5, seed=seed).waypoints for seed in (0, 1))
+        one, other = (
+            modulator.plan(scene, 0, 0.5, seed=seed, refine=False).waypoints for seed in (0, 1)
+        )
         assert np.abs(one - other).max() > 1e-3
 
     def test_paths_of_a_batch_differ(self, modulator, scene):
@@ -296,7 +301,12 @@ class TestCandidates:
     def test_the_nearest_of_those_drawn_is_returned(self, modulator, scene):
         modulator = make(modulator.config.dim, observer=RANK)  # none is drawn again
         num = 6
-        single = modulator.plan(scene, 0, np.repeat(LEVELS, num), seed=4)
+        observer = modulator.config.observer
+        tasks = Tasks([scene], [0], [observer], np.repeat(LEVELS, num))
+        drawn, replaced = modulator.sampler.plan(
+            tasks, 4, Sampling(), exact=False, refine=True, candidates=num
+        )
+        single = Path(scene, 0, tasks.levels, drawn, observer, replaced)
         best = modulator.plan(scene, 0, LEVELS, seed=4, num_candidates=num)
         errors = np.abs(single.achieved - single.legibility).reshape(len(LEVELS), num)
         np.testing.assert_allclose(np.abs(best.achieved - LEVELS), errors.min(1), atol=1e-12)

@@ -104,4 +104,4 @@ def test_eyes():
     assert [row[0] for row in scores.rows] == list(EYES.values())
     assert scores.rows[0][1:] == ("1.000", "0.500", "0.500", "0.500", "0.500", "87.50%")
     assert posteriors.rows[0][1:3] == ("0.250", "0.250")
-    assert "11 levels of ℓ, 4 samples of each, as drawn" in text_of(section)
+    assert "11 levels of ℓ, 4 samples of each, quick plans" in text_of(section)
