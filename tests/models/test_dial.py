@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from legibility import Ball, Box, Observer, Scene, build_archive
 from legibility.errors import InvalidInputError
+from legibility.models.conditions import Conditions
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.dial import KNOTS, Dial, standard_curves
-from legibility.models.path_diffuser import Conditions
 from legibility.motion.bezier import bezier_trajectories
 
 SCENE = Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], [[-3, -3], [4, 4]])

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import legibility as lg
 from legibility.data.rooms import random_observer, random_room
 from legibility.frame import Frame
+from legibility.models.conditions import Conditions
 from legibility.models.inputs import (
     DEPTH,
     FIELD_CHANNELS,
@@ -21,7 +22,6 @@ from legibility.models.inputs import (
     solid_features,
     vector_size,
 )
-from legibility.models.path_diffuser import Conditions
 
 seeds = st.integers(0, 2**32 - 1)
 dims = st.sampled_from([2, 3])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -23,11 +22,9 @@ from ..intent.observer import Observer
 from ..motion.archive import build_archive
 from ..motion.bezier import bezier_trajectories
 from ..scene import Scene
+from .conditions import Conditions
 from .configuration import PathDiffuserConfig
 from .inputs import vector_size
-
-if TYPE_CHECKING:
-    from .path_diffuser import Conditions
 
 KNOTS = 17
 """Levels of ℓ, from −1 to 1, at which the score is predicted; linear between them."""

@@ -24,8 +24,9 @@ from ..curves import NUM_WAYPOINTS
 from ..errors import CheckpointError, InvalidInputError, MissingExtraError, OutputError
 from ..files import write_bytes
 from ..scene import Scene
+from .conditions import Conditions
 from .dial import Dial
-from .path_diffuser import Conditions, Drawn, PathDiffuser
+from .path_diffuser import Drawn, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
 _VERSION = 7

@@ -21,9 +21,10 @@ from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
 from ..motion.path import least_margin, straight_waypoints
 from ..scene import TOUCH, Scene
+from .conditions import Conditions
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
-from .path_diffuser import Conditions, Drawn, PathDiffuser
+from .path_diffuser import Drawn, PathDiffuser
 from .projection import project, smoothed
 
 _RETRIES = 3

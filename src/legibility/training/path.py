@@ -16,26 +16,19 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..curves import NUM_WAYPOINTS, spline_matrix
-from ..data.dataset import LABEL_KNOTS, Dataset
+from ..data.dataset import Dataset
 from ..errors import InvalidInputError
 from ..frame import Frame
-from ..intent.metrics import SCORE_POINTS
 from ..models.configuration import PathDiffuserConfig
-from ..models.dial import KNOTS
 from ..models.diffusion import noised, sampling_timesteps
-from ..models.path_diffuser import Conditions, PathDiffuser
+from ..models.path_diffuser import PathDiffuser
 from ..models.provenance import Source, TeacherRecord
-from ..motion.archive import SMALLEST_RANGE
 from .configuration import FIXED_BY_DATA, DistillationConfig, PathTrainingConfig
 from .loop import Run, Trained, new_model, train
+from .scorer import FrameScorer
 from .team import Team
 
 _AT_ONCE = 64  # scenes that are read, or for which a teacher draws, at a time
-_LEAST_COST = 1e-30
-_SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
-_LARGEST_ERROR, _COST_SHARE = 2.0, 0.1  # of the dial's loss: most of ℓ, weight of the log cost
-_PAD = 0.01  # distance to keep from solids and walls, in lengths of the straight line
 
 
 class PathBatches:
@@ -210,110 +203,6 @@ class DistillationBatches(PathBatches):
             "jerk": self.scorer.jerk(found, taught).mean(),
             **self.dial_loss(knots, scenes),
         })  # fmt: skip
-
-
-class FrameScorer:
-    """Label, contact and jerk of paths in PyTorch, differentiable, in the start–target frame."""
-
-    def __init__(self, data: Dataset, conditions: Conditions) -> None:
-        def tensor(array: np.ndarray) -> Tensor:
-            return torch.tensor(array, dtype=torch.float32, device=conditions.vector.device)
-
-        # Labels are read in log(−L_p): the legible side of a clear scene may lie within a millionth
-        # of the range of its scores.
-        knots = -np.log(np.maximum(-data.score_at_label, _LEAST_COST))
-        self.knots = tensor(np.maximum.accumulate(knots, axis=1))
-        self.values = tensor(LABEL_KNOTS)
-        # Labels rank little where a side of the dial spans little.
-        ends = np.abs(data.score_at_label[:, [0, -1]] - data.summary["anchor_score"][:, None])
-        self.trust = tensor(np.minimum(ends / SMALLEST_RANGE, 1))
-        self.alpha = data.config.observer.alpha
-        self.spline = tensor(spline_matrix(NUM_WAYPOINTS + 2, SCORE_POINTS))
-        self.ends = tensor(np.eye(2, data.config.dim, k=-1))
-
-    def path(self, waypoints: Tensor) -> Tensor:
-        """`(B, K + 2, D)`: waypoints `(B, K, D)` in the start–target frame with start and goal."""
-        ends = self.ends.expand(len(waypoints), -1, -1)
-        return torch.cat([ends[:, :1], waypoints, ends[:, 1:]], dim=1)
-
-    def curve(self, waypoints: Tensor) -> Tensor:
-        """The curve `(B, T, D)` through waypoints `(B, K, D)` in the start–target frame."""
-        return self.spline @ self.path(waypoints)
-
-    def score(self, conditions: Conditions, points: Tensor) -> Tensor:
-        """`L_p` (paper, eq. 4), `(B,)`, of curves `(B, T, D)` in start–target frames.
-
-        As `legibility_score`: t is progress by arc length, and the weights exp(−α t) sum to 1.
-        """
-        potential = conditions.potential(points)
-        steps = (points.diff(dim=1).square().sum(-1) + 1e-12).sqrt()
-        progress = F.pad(steps.cumsum(1), (1, 0)) / steps.sum(1, keepdim=True)
-        decay = torch.exp(-self.alpha * progress)
-        width = progress.diff(dim=1) / 2
-        weighted = decay * potential
-        total = ((weighted[:, 1:] + weighted[:, :-1]) * width).sum(1)
-        return -total / ((decay[:, 1:] + decay[:, :-1]) * width).sum(1)
-
-    def label(self, conditions: Conditions, scenes: Tensor, points: Tensor) -> Tensor:
-        """The achieved label `(B,)` of curves `(B, T, D)` in the `scenes (B,)` of the data.
-
-        It is extrapolated beyond ±1 so that its gradient never vanishes.
-        """
-        score = -torch.log((-self.score(conditions, points)).clamp_min(_LEAST_COST))
-        return self._read(scenes, score[:, None])[:, 0]
-
-    def _read(self, scenes: Tensor, score: Tensor) -> Tensor:
-        """Labels `(B, N)` of −log(−L_p) `(B, N)`, not ended at ±1."""
-        knots = self.knots[scenes]
-        right = torch.searchsorted(knots, score.detach()).clamp(1, len(self.values) - 1)
-        low, high = knots.gather(1, right - 1), knots.gather(1, right)
-        span = (high - low).clamp_min(1e-5 * (knots[:, -1:] - knots[:, :1]))
-        step = self.values[1] - self.values[0]
-        return self.values[right - 1] + (score - low) / span * step
-
-    def label_errors(self, scenes: Tensor, knots: Tensor) -> Tensor:
-        """Errors of ℓ `(B, KNOTS)` of the dials `knots (B, KNOTS)` of `scenes (B,)`."""
-        levels = self.values[:: (len(self.values) - 1) // (KNOTS - 1)]
-        return self._read(scenes, -knots).clamp(-1, 1) - levels
-
-    def dial_error(self, scenes: Tensor, knots: Tensor) -> Tensor:
-        """Mean loss of the dials `knots (B, KNOTS)` of `scenes (B,)`: on ℓ, and on the log cost."""
-        step = (len(self.values) - 1) // (KNOTS - 1)
-        level = self.values[::step].expand_as(knots)
-        cost = F.smooth_l1_loss(-knots, self.knots[scenes, ::step], beta=0.1)
-        error = self._weighed(scenes, self._read(scenes, -knots), level)
-        return error.clamp_max(_LARGEST_ERROR).mean() + _COST_SHARE * cost
-
-    def error(
-        self, conditions: Conditions, scenes: Tensor, points: Tensor, level: Tensor
-    ) -> Tensor:
-        """`(B,)`: loss on the label of curves `(B, T, D)` against `level (B,)`."""
-        achieved = self.label(conditions, scenes, points)
-        return self._weighed(scenes, achieved[:, None], level[:, None])[:, 0]
-
-    def _weighed(self, scenes: Tensor, achieved: Tensor, level: Tensor) -> Tensor:
-        """`(B, N)`: loss of labels `achieved (B, N)` against `level (B, N)` in `scenes (B,)`."""
-        # Labels end at ±1, scores go beyond: at the ends only a path that falls short is wrong.
-        beyond = (level.abs() == 1) & (achieved * level > 1)
-        achieved = torch.where(beyond, level, achieved)
-        trust = self.trust[scenes].gather(1, (level > 0).long())
-        return trust * F.smooth_l1_loss(achieved, level, beta=0.1, reduction="none")
-
-    @staticmethod
-    def contact(conditions: Conditions, points: Tensor) -> Tensor:
-        """`(B,)`: by how much curves `(B, T, D)` come too near to solids and walls.
-
-        The mean along the curve, and a share of the worst point.
-        """
-        shortfall = F.relu(_PAD - conditions.margin(points))
-        return shortfall.mean(dim=1) + shortfall.amax(dim=1) / 4
-
-    def jerk(self, waypoints: Tensor, like: Tensor) -> Tensor:
-        """`(B,)`: log jerk of paths `(B, K, D)` beyond that of the paths `like`."""
-        found, allowed = (
-            self.path(x).diff(n=3, dim=1).square().sum((1, 2)) + _SMOOTH for x in (waypoints, like)
-        )
-        return F.relu((found / allowed).log())
 
 
 def train_path(

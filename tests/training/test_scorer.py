@@ -10,8 +10,8 @@ from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import LABEL_KNOTS, generate
 from legibility.frame import Frame
 from legibility.intent.observer import Observer
-from legibility.training import path
-from legibility.training.path import FrameScorer
+from legibility.training import scorer as module
+from legibility.training.scorer import FrameScorer
 
 
 def conditions_of(data):
@@ -128,7 +128,7 @@ class TestFrameScorer:
             assert np.abs(found.numpy() - label).max() < 0.1
 
     def test_contact_is_zero_exactly_for_curves_that_keep_the_pad(self, scored, monkeypatch):
-        monkeypatch.setattr(path, "_PAD", 0.005)  # that of the data's tight rooms, too
+        monkeypatch.setattr(module, "_PAD", 0.005)  # that of the data's tight rooms, too
         data, scorer, conditions, each, waypoints = scored
         generator = torch.Generator().manual_seed(0)
         moved = torch.arange(len(each))[:, None, None] % 2 * 0.1  # every second one
@@ -139,7 +139,7 @@ class TestFrameScorer:
         for row, scene in enumerate(data.scenes):
             frame, curves = Frame.of(scene, 0), points[each == row].double().numpy()
             margin.append(scene.margin_at(frame.frame_to_world(curves), 0).min(-1) / frame.scale)
-        short = path._PAD - np.concatenate(margin)
+        short = module._PAD - np.concatenate(margin)
         assert (contact[short < -1e-3] == 0).all()
         assert (contact[short > 1e-3] > short[short > 1e-3] / 4.1 - 1e-3).all()
         assert (contact <= 1.25 * np.maximum(short, 0) + 1e-3).all()
