@@ -155,7 +155,7 @@ def _scores_of(
         return None
     archive = source.archive(index, observer)
     nothing = np.empty(0)
-    return replace(archive, controls=nothing, trajectories=nothing, descriptors=nothing)
+    return replace(archive, controls=nothing, descriptors=nothing)
 
 
 @threads(1)

@@ -75,7 +75,6 @@ class PathDiffuserConfig(_NetworkConfig):
             goal, workspace, ℓ and the observer's σ and β, and reads the margin at the waypoints.
         channels: of the U-Net's levels.
         condition: size of the condition.
-        curves: standard curves by which the scene's dial is read.
         encoder_width: channels of the image encoder's first layer.
         resolution: height and width of the image; 0 means 32 in 2D and 16 in 3D.
         squash: deviations from the straight line, in its lengths, beyond which they are compressed
@@ -93,7 +92,6 @@ class PathDiffuserConfig(_NetworkConfig):
     sampling_steps: int = 3
     observer: Observer = dataclasses.field(default_factory=Observer)
     field: bool = True
-    curves: int = 512
     encoder_width: int = 16
     resolution: int = 0
     squash: float = 0.1
@@ -111,7 +109,6 @@ class PathDiffuserConfig(_NetworkConfig):
                 )
         if not self.channels or NUM_WAYPOINTS % 2 ** (len(self.channels) - 1):
             raise InvalidInputError(f"channels must be of 1 to 4 levels, got {self.channels}")
-        count("curves", self.curves)
         _multiple_of_8("encoder_width", self.encoder_width)
         if count("resolution", self.resolution, low=0) == 0:
             object.__setattr__(self, "resolution", _RESOLUTION[self.dim])

@@ -25,15 +25,14 @@ from ..errors import CheckpointError, InvalidInputError, MissingExtraError, Outp
 from ..files import write_bytes
 from ..scene import Scene
 from .conditions import Conditions
-from .dial import Dial
-from .path_diffuser import Drawn, PathDiffuser
+from .path_diffuser import DIAL_LEVELS, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-_VERSION = 7
+_VERSION = 8
 """Version of the graphs; raising it makes stored graphs be exported again."""
 
 _TRACED = (
-    "dim", "field", "curves", "channels", "condition", "encoder_width", "resolution", "squash",
+    "dim", "field", "channels", "condition", "encoder_width", "resolution", "squash",
     "chunk",
     "diffusion_steps", "sampling_steps", "guidance",
 )  # fmt: skip
@@ -91,27 +90,23 @@ class OnnxPathDiffuser(_OnnxStage):
         *,
         guidance: float | None = None,
         steps: int | None = None,
-        readings: Tensor | None = None,
-    ) -> Drawn:
+        dial: Tensor | None = None,
+    ) -> Tensor:
         """See `PathDiffuser.sample`.
 
         Raises:
             InvalidInputError: the guidance or the steps are not the model's own.
         """
         size, several = len(level), len(conditions.vector) > 1
-        if readings is None and self.config.field:
-            readings = self.model.dial.readings(conditions)
-        waypoints, *cost = self._run(
+        (waypoints,) = self._run(
             {"guidance": guidance, "sampling_steps": steps},
             **{name: tensor.numpy() for name, tensor in vars(conditions).items()},
-            **({} if readings is None else {"readings": readings.numpy()}),
+            **({} if dial is None else {"dial": dial.numpy()}),
             scene=np.arange(size) if several else np.zeros(size, dtype=np.int64),
             level=level.numpy(),
             noise=noise.numpy(),
         )
-        return Drawn(
-            torch.from_numpy(waypoints), *(map(torch.from_numpy, cost) if cost else [None])
-        )
+        return torch.from_numpy(waypoints)
 
 
 class OnnxPathPolicy(_OnnxStage):
@@ -207,20 +202,16 @@ class _Traced(nn.Module):
         super().__init__()
         self.model = model
 
-    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+    def forward(self, *inputs: Tensor) -> Tensor:
         if isinstance(self.model, PathPolicy):
             features, has_path, noise = inputs
             return self.model.denoise(features, has_path, noise)
         *scenes, scene, level, noise = inputs
-        readings = scenes.pop() if self.model.config.field else None
+        dial = scenes.pop() if self.model.config.field else None
         conditions = Conditions(*scenes)
         rows = conditions.without_image().map(lambda x: x.index_select(0, scene))
-        knots = self.model.knots(conditions, readings)
-        encoded = self.model.encode_scene(conditions, knots).index_select(0, scene)
-        waypoints = self.model.draw(rows, encoded, level, noise)
-        if knots is None:
-            return waypoints
-        return waypoints, Dial.at(knots.index_select(0, scene), level)
+        encoded = self.model.encode_scene(conditions, dial).index_select(0, scene)
+        return self.model.draw(rows, encoded, level, noise)
 
 
 def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[int, Any]]]:
@@ -246,7 +237,7 @@ def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[i
         value = torch.cat([value, value[:, :1]], dim=1) if value.shape[1] == 1 else value
         inputs[field.name] = (value, {0: scenes, 1: sizes[number]})
     if model.config.field:
-        inputs["readings"] = (model.dial.readings(seen), {0: scenes})
+        inputs["dial"] = (torch.zeros(3, len(DIAL_LEVELS)), {0: scenes})
     return inputs | {
         "scene": (torch.tensor([0, 1, 2, 1, 0]), {0: rows}),
         "level": (torch.zeros(5), {0: rows}),
@@ -258,8 +249,7 @@ def _fingerprint(model: PathDiffuser | PathPolicy) -> str:
     """Of everything that a graph depends on."""
     settings = model.config.to_dict()
     traced = {name: settings.get(name) for name in _TRACED}
-    label = settings.get("observer", {}).get("label")
-    text = json.dumps([_VERSION, type(model).__name__, traced, label])
+    text = json.dumps([_VERSION, type(model).__name__, traced])
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ..checks import Array
 from ..curves import NUM_WAYPOINTS
+from ..errors import InvalidInputError
 from ..intent.observer import Observer
 from ..scene import Scene
 from .conditions import Conditions
 from .configuration import PathDiffuserConfig
-from .dial import KNOTS, Dial
 from .diffusion import ddim, sampling_timesteps
 from .inputs import DEPTH, FIELD_CHANNELS, solid_features, vector_size
 from .networks import FieldEncoder, FiLMUNet, Residual, SetEncoder, fourier
@@ -23,17 +24,15 @@ LEVEL_FREQUENCIES = 12
 TIME_FREQUENCIES = 16
 
 
-class Drawn(NamedTuple):
-    """Paths drawn in the start–target frame.
+DIAL_LEVELS = np.linspace(-1, 1, 17)
+"""Levels of ℓ at which stage 1 is told the scores that its scene's archive gives them."""
 
-    Attributes:
-        waypoints: `(B, K, D)`.
-        cost: log(−L_p) `(B,)` that their ℓ asks for, as the dial predicts it; None of a model
-            without the field.
-    """
+_LEAST_COST = 1e-30
 
-    waypoints: Tensor
-    cost: Tensor | None
+
+def dial_of(scores: Array) -> Array:
+    """What stage 1 reads of the scores at `DIAL_LEVELS`, `(B, 17)`: log(−L_p) in float32."""
+    return np.log(np.maximum(-scores, _LEAST_COST)).astype(np.float32)
 
 
 class PathDiffuser(nn.Module):
@@ -53,8 +52,7 @@ class PathDiffuser(nn.Module):
             )
             self.distractors = SetEncoder(2 * config.dim + 4, size)
             self.solids = SetEncoder(solid_features(config.dim), size)
-            self.dial = Dial(config)
-            self.scale = nn.Linear(KNOTS + 1, size)
+            self.scale = nn.Linear(len(DIAL_LEVELS) + 1, size)
         self.place = nn.Linear(vector_size(config.dim), size)
         self.no_field = nn.Parameter(torch.zeros(size))
         self.scene = nn.Sequential(nn.SiLU(), Residual(size))
@@ -80,24 +78,23 @@ class PathDiffuser(nn.Module):
         """`Conditions.of` for the model's resolution."""
         return Conditions.of(scenes, targets, observers, self.config.resolution)
 
-    def knots(self, conditions: Conditions, readings: Tensor | None = None) -> Tensor | None:
-        """The scene's dial, see `Dial`, by its `readings` if known; None without the field."""
-        if not self.config.field:
-            return None
-        return self.dial(self.dial.readings(conditions) if readings is None else readings)
-
     def encode_scene(
-        self, conditions: Conditions, knots: Tensor | None, keep: Tensor | None = None
+        self, conditions: Conditions, dial: Tensor | None, keep: Tensor | None = None
     ) -> Tensor:
-        """`(B, E)` of the scene and its dial; where `keep (B,)` is false the field is dropped."""
-        if knots is None:
+        """`(B, E)` of the scene and its dial; where `keep (B,)` is false the field is dropped.
+
+        `dial (B, 17)` is `dial_of` the scene's scores; a model without the field needs none.
+        """
+        if not self.config.field:
             return self._without_field(conditions)
         solids = conditions.solid_features
         features = self.encoder(conditions.image.float())
         features = features + self.distractors(*conditions.distractor_features())
         features = features + self.solids(torch.asinh(solids), solids[..., -1] > 0)
-        middle = knots[:, KNOTS // 2, None]
-        features = features + self.scale(torch.cat([knots - middle, middle], 1).detach() / 4)
+        if dial is None:
+            raise InvalidInputError("dial must be that of each scene, got None")
+        middle = dial[:, dial.shape[1] // 2, None]
+        features = features + self.scale(torch.cat([dial - middle, middle], 1) / 4)
         if keep is not None:
             features = torch.where(keep[:, None], features, self.no_field)
         return self.scene(features + self.place(torch.asinh(conditions.vector)))
@@ -172,8 +169,8 @@ class PathDiffuser(nn.Module):
         *,
         guidance: float | None = None,
         steps: int | None = None,
-        readings: Tensor | None = None,
-    ) -> Drawn:
+        dial: Tensor | None = None,
+    ) -> Tensor:
         """Draw paths in the start–target frame, by deterministic DDIM.
 
         Song et al. 2021; the same noise gives the same path.
@@ -184,13 +181,14 @@ class PathDiffuser(nn.Module):
             noise: `(B, K, D)` standard normal.
             guidance: weight w at ℓ = ±1; the configuration's if not given.
             steps: of the sampler; the configuration's if not given.
-            readings: of the dial, if they are known.
+            dial: of each scene, see `encode_scene`.
+
+        Returns:
+            Waypoints `(B, K, D)`.
         """
         with torch.autocast(noise.device.type, enabled=False):
-            knots = self.knots(conditions, readings)
-            scene = self.encode_scene(conditions, knots)
-            waypoints = self.draw(conditions, scene, level, noise, guidance, steps)
-        return Drawn(waypoints, None if knots is None else Dial.at(knots, level))
+            scene = self.encode_scene(conditions, dial)
+            return self.draw(conditions, scene, level, noise, guidance, steps)
 
     def draw(
         self,

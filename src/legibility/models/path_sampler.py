@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,16 +14,16 @@ from ..checks import Array, bounded
 from ..curves import NUM_WAYPOINTS, path_curve
 from ..errors import CheckpointError, InvalidInputError
 from ..frame import Frame
-from ..intent.metrics import SCORE_POINTS, score_weights
+from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
-from ..motion.path import least_margin, straight_waypoints
+from ..motion.library import rough_archive
+from ..motion.path import least_margin
 from ..scene import TOUCH, Scene
-from .conditions import Conditions
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
-from .path_diffuser import Drawn, PathDiffuser
+from .path_diffuser import DIAL_LEVELS, PathDiffuser, dial_of
 from .projection import project, smoothed
 
 _RETRIES = 3
@@ -32,8 +31,7 @@ _STEP_BACK = 0.03
 _TOLERANCE = 0.05
 _LEAST_COST = 1e-12
 _DRAWS = 8
-_AT_ONCE, _MOST_KNOWN = 64, 256  # scenes that a dial reads at a time, and those kept
-_EXACT = 0.02  # error of ℓ above which the archive's nearest curve is tried
+_MISSED = 0.02  # error of ℓ above which the archive's nearest curve is tried
 
 
 class Sampling(NamedTuple):
@@ -113,13 +111,9 @@ class PathSampler:
         name: of the weights, for messages.
     """
 
-    def __init__(self, model: PathDiffuser, sample: Callable[..., Drawn], name: str) -> None:
+    def __init__(self, model: PathDiffuser, sample: Callable[..., Tensor], name: str) -> None:
         self.model, self.sample, self.name = model, sample, name
         self.config = model.config
-        self._known: dict[tuple[Scene, int, Observer], Tensor] = {}
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.model, self.sample, self.name)
 
     def plan(
         self,
@@ -133,10 +127,10 @@ class PathSampler:
     ) -> tuple[Array, np.ndarray]:
         """A path for each task, out of contact and with the score that its ℓ asks for.
 
-        That is the score that the dial predicts or, if `exact`, that of the scene's archive, whose
-        nearest curve is then brought there where that comes nearer than the path drawn. A model
-        without the field keeps the score that it drew. Of several `candidates` for a level, which
-        follow each other, the first meets the score, and unless exact the others keep their own.
+        That is the score by the scene's archive, a rough one unless `exact`, whose nearest curve is
+        brought there as well where the path drawn misses it. Of several `candidates` for a level,
+        which follow each other, the others keep the score that they drew. So do all paths of a
+        model without the field.
 
         Returns:
             `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for the path
@@ -146,21 +140,21 @@ class PathSampler:
         if not refine:
             if exact:
                 raise InvalidInputError("exact plans are refined: leave refine as it is")
-            return self.draw(tasks, seed, sampling)[0], replaced
-        paths, scores = self.draw_with_retries(tasks, seed, sampling)
+            return self.draw(tasks, seed, sampling), replaced
+        archive_of = scene_archive if exact else rough_archive
+        paths = self.draw_with_retries(tasks, seed, sampling)
+        meeting = np.arange(len(tasks)) % candidates == 0
         for row, scene, target, observer in tasks.rows():
-            smooth = smoothed(paths[row])
-            if exact:
-                archive = scene_archive(scene, target, observer)
-                paths[row], replaced[row] = _exact(archive, smooth, tasks.levels[row])
-                continue
-            if scores is not None and candidates == 1:
-                wanted = scores[row]
-            else:
-                wanted = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
-                if scores is not None:
-                    wanted[::candidates] = scores[row][::candidates]
-            paths[row] = project(smooth, scene, target, observer, wanted)[0]
+            drawn, first = smoothed(paths[row]), meeting[row] & self.config.field
+            if first.any():
+                archive = archive_of(scene, target, observer)
+                drawn[first], replaced[row][first] = _met(
+                    archive, drawn[first], tasks.levels[row][first]
+                )
+            if not first.all():
+                own = observer.score(path_curve(paths[row][~first], SCORE_POINTS), scene, target)
+                drawn[~first] = project(drawn[~first], scene, target, observer, own)[0]
+            paths[row] = drawn
         touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
         replaced[touching] = True
         for i in touching:
@@ -170,89 +164,70 @@ class PathSampler:
         return paths, replaced
 
     @torch.inference_mode()
-    def draw(self, tasks: Tasks, seed: int, sampling: Sampling) -> tuple[Array, Array | None]:
-        """A path for each task.
-
-        Returns:
-            `(B, K + 2, D)` [m], whose ends are start and goal exactly, and the score `(B,)` that ℓ
-            asks for, None of a model without the field.
-        """
+    def draw(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
+        """A path for each task, `(B, K + 2, D)` [m], whose ends are start and goal exactly."""
         size, dim = len(tasks), self.config.dim
         generator = torch.Generator("cpu").manual_seed(seed)
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
         level = torch.from_numpy(tasks.levels.astype(np.float32))
         conditions = self.model.conditions(tasks.scenes, tasks.targets, tasks.observers)
-        readings = self._readings(tasks, conditions) if self.config.field else None
-        drawn = self.sample(conditions, level, noise, readings=readings, **sampling._asdict())
-        waypoints = drawn.waypoints.double().numpy()
-        scores = None if drawn.cost is None else -drawn.cost.double().exp().numpy()
-        if not (np.isfinite(waypoints).all() and (scores is None or np.isfinite(scores).all())):
+        dial = None
+        if self.config.field:
+            scores = [rough_archive(*row).score_of(DIAL_LEVELS) for _, *row in tasks.rows()]
+            dial = torch.from_numpy(dial_of(np.stack(scores)))
+        drawn = self.sample(conditions, level, noise, dial=dial, **sampling._asdict())
+        waypoints = drawn.double().numpy()
+        if not np.isfinite(waypoints).all():
             raise CheckpointError(f"the model {self.name} drew a path that is not finite")
         paths = np.empty((size, NUM_WAYPOINTS + 2, dim))
         for row, scene, target, _ in tasks.rows():
             paths[row, 1:-1] = Frame.of(scene, target).frame_to_world(waypoints[row])
             paths[row, 0], paths[row, -1] = scene.start, scene.goals[target]
-        return paths, scores
+        return paths
 
-    def _readings(self, tasks: Tasks, conditions: Conditions) -> Tensor:
-        """What the dial reads of each scene, `(B, R)`; kept, as each draw asks for it."""
-        keys = list(zip(tasks.scenes, tasks.targets, tasks.observers, strict=True))
-        new = [i for i, key in enumerate(keys) if key not in self._known]
-        for first in range(0, len(new), _AT_ONCE):
-            rows = new[first : first + _AT_ONCE]
-            found = self.model.dial.readings(conditions.map(lambda x, rows=rows: x[rows]))
-            self._known |= zip((keys[i] for i in rows), found, strict=True)
-        readings = torch.stack([self._known[key] for key in keys])
-        for key in list(self._known)[:-_MOST_KNOWN]:
-            del self._known[key]
-        return readings
+    def draw_with_retries(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
+        """`draw`, and draw again what lies on the wrong side of ℓ = 0 or in contact.
 
-    def draw_with_retries(
-        self, tasks: Tasks, seed: int, sampling: Sampling
-    ) -> tuple[Array, Array | None]:
-        """`draw`, and draw again what lies on the wrong side of the straight line or in contact.
-
-        Where the best way round changes with ℓ, a draw may fall between two ways. The straight
-        line's score reveals it: a legible path must not cost more, an ambiguous one not less. Each
-        retry asks for a little less. A model without the field gets no help from it here either.
-        Of a path in contact, several more are drawn, and the one that comes nearest to keeping
-        clear is taken.
+        Where the best way round changes with ℓ, a draw may fall between two ways. The score at
+        ℓ = 0 reveals it: a legible path must not cost more, an ambiguous one not less. Each retry
+        asks for a little less. A model without the field gets no help from it here either. Of a
+        path in contact, several more are drawn, and the one that comes nearest to keeping clear is
+        taken.
         """
-        paths, scores = self.draw(tasks, seed, sampling)
+        paths = self.draw(tasks, seed, sampling)
         if self.config.observer.label == "anchored" and self.config.field:
             for retry in range(1, _RETRIES + 1):
-                wrong = self._on_wrong_side(tasks, paths)
+                wrong = _on_wrong_side(tasks, paths)
                 if not len(wrong):
                     break
                 again = tasks.of(wrong)
                 again = Tasks(*again[:3], again.levels * (1 - _STEP_BACK) ** retry)
-                paths[wrong], _ = self.draw(again, seed ^ retry, sampling)
+                paths[wrong] = self.draw(again, seed ^ retry, sampling)
         margin = tasks.margin(paths)
         touching = np.flatnonzero(margin < 0)
         if len(touching):
             again = tasks.of(np.repeat(touching, _DRAWS))
-            drawn, _ = self.draw(again, seed ^ (_RETRIES + 1), sampling)
+            drawn = self.draw(again, seed ^ (_RETRIES + 1), sampling)
             drawn = np.concatenate(
                 [paths[touching, None], drawn.reshape(-1, _DRAWS, *paths.shape[1:])], 1
             )
             gaps = again.margin(drawn[:, 1:].reshape(-1, *paths.shape[1:])).reshape(-1, _DRAWS)
             best = np.argmax(np.column_stack([margin[touching], gaps]), axis=1)
             paths[touching] = drawn[np.arange(len(touching)), best]
-        return paths, scores
-
-    def _on_wrong_side(self, tasks: Tasks, paths: Array) -> NDArray[np.intp]:
-        """Indices of the paths that are clearly on the other side of the straight line than ℓ."""
-        ratio = np.ones(len(tasks))
-        for row, scene, target, observer in tasks.rows():
-            straight = _straight_score(scene, target, observer)
-            if straight is None:
-                continue  # ℓ = 0 is another curve
-            scores = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
-            ratio[row] = (_LEAST_COST - scores) / (_LEAST_COST - straight)
-        return np.flatnonzero(np.log(ratio) * np.sign(tasks.levels) > _TOLERANCE)
+        return paths
 
 
-def _exact(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[np.bool]]:
+def _on_wrong_side(tasks: Tasks, paths: Array) -> NDArray[np.intp]:
+    """Indices of the paths that are clearly on the other side of ℓ = 0 than their ℓ."""
+    ratio = np.ones(len(tasks))
+    for row, scene, target, observer in tasks.rows():
+        scores = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
+        anchor = rough_archive(scene, target, observer).anchor_score
+        ratio[row] = (_LEAST_COST - scores) / (_LEAST_COST - anchor)
+    return np.flatnonzero(np.log(ratio) * np.sign(tasks.levels) > _TOLERANCE)
+
+
+def _met(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[np.bool]]:
     """Paths `(B, K + 2, D)` brought to `levels (B,)`, and whether an elite stands in, `(B,)`."""
     scene, target, observer = archive.scene, archive.target, archive.observer
     wanted, shortest = archive.score_of(levels), archive.shortest_length
@@ -264,24 +239,13 @@ def _exact(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArra
 
     paths, error = brought(paths, np.arange(len(paths)))
     replaced = np.zeros(len(paths), dtype=bool)
-    rows = np.flatnonzero(error > _EXACT)
+    rows = np.flatnonzero(error > _MISSED)
     if len(rows):
         elites = np.stack([nearest_path(archive, float(level)) for level in levels[rows]])
         elites, their_error = brought(elites, rows)
         better = their_error < error[rows]
         paths[rows[better]], replaced[rows[better]] = elites[better], True
     return paths, replaced
-
-
-@functools.lru_cache(maxsize=64)  # each draw asks for it
-def _straight_score(scene: Scene, target: int, observer: Observer) -> float | None:
-    """The score of the straight line, None if it is blocked."""
-    straight = straight_waypoints(scene.start, scene.goals[target])
-    if not scene.feasible(straight, target):
-        return None
-    points = np.linspace(straight[0], straight[-1], SCORE_POINTS)
-    potential = observer.field(scene).potential(points, target)
-    return float(-potential @ score_weights(SCORE_POINTS, observer.alpha))
 
 
 def nearest_path(archive: Archive, level: float) -> Array:

@@ -39,6 +39,7 @@ from .curve_grid import (
 
 _BATCH = 1024
 _FINE = 4 * SCORE_POINTS  # points on which a length is measured
+_SHORTEST = 8  # curves kept in the search for the shortest
 
 DEFAULT_CELLS = {2: 28, 3: 11}
 """Cells along the straight line, by dimension."""
@@ -56,7 +57,6 @@ class Archive:
         target: index of the intended goal.
         observer: whose scores and labels these are.
         controls: `(N, 4, D)` [m], control points of the cubic Béziers.
-        trajectories: `(N, T, D)` [m], at equal arc length.
         descriptors: `(N, D)` [m], the most deviating point of each.
         energies: `(N,)` [m²], bending energy, which a cell minimises.
         scores: `(N,)`, `legibility_score`, higher = more legible.
@@ -72,7 +72,6 @@ class Archive:
     target: int
     observer: Observer
     controls: Array
-    trajectories: Array
     descriptors: Array
     energies: Array
     scores: Array
@@ -89,6 +88,11 @@ class Archive:
     def field(self) -> Field:
         """The observer's field of the scene."""
         return self.observer.field(self.scene)
+
+    @functools.cached_property
+    def trajectories(self) -> Array:
+        """`(N, T, D)` [m], the curves at equal arc length."""
+        return bezier_trajectories(self.controls, SCORE_POINTS)
 
     @property
     def blocked(self) -> bool:
@@ -202,7 +206,7 @@ def build_archive(
         seed = seed_or_entropy("seed", seed)
 
     rng = np.random.default_rng(seed)
-    anchor, shortest, reach = _shortest(scene, target)
+    anchor, shortest, reach = shortest_curve(scene, target)
     grid = CurveGrid(scene, target, observer.detour * shortest, cells, reach)
     grid.add(anchor[None])
     tried, idle = 1, 0
@@ -223,7 +227,6 @@ def build_archive(
         target=target,
         observer=observer,
         controls=controls,
-        trajectories=trajectories,
         descriptors=grid.descriptors[filled],
         energies=grid.energies[filled],
         scores=scores,
@@ -255,7 +258,7 @@ def _scored(
 
 
 @functools.lru_cache(maxsize=64)
-def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
+def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
     """The straight line `(4, D)`, or the shortest feasible curve where it is blocked.
 
     Random curves in a region that grows until some are feasible, then variations of the shortest.
@@ -273,12 +276,19 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
 
     def keep_shortest(controls: Array) -> None:
         nonlocal best, lengths
-        controls = controls[free(scene, target, controls)]
-        controls = controls[~crosses_itself(controls)]
-        best = np.concatenate([best, controls])
-        trajectories = bezier_trajectories(controls, SCORE_POINTS)
-        lengths = np.concatenate([lengths, arc_length(trajectories)])
-        order = np.argsort(lengths, kind="stable")[:8]
+        length = arc_length(bezier_trajectories(controls, SCORE_POINTS))
+        order = np.argsort(length, kind="stable")
+        if len(best) == _SHORTEST:
+            order = order[length[order] < lengths[-1]]
+        found: list[int] = []
+        for few in np.array_split(order, max(1, len(order) // 64)):  # the shortest first
+            few = few[free(scene, target, controls[few])]
+            found += few[~crosses_itself(controls[few])].tolist()
+            if len(found) >= _SHORTEST:
+                break
+        best = np.concatenate([best, controls[found]])
+        lengths = np.concatenate([lengths, length[found]])
+        order = np.argsort(lengths, kind="stable")[:_SHORTEST]
         best, lengths = best[order], lengths[order]
 
     for growth in 2.0 ** np.arange(6):
@@ -286,7 +296,7 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
         bounds = draw_bounds(scene, target, 2.5 * growth * scale, reach)
         for _ in range(4):
             keep_shortest(with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
-        if len(best) >= 8:
+        if len(best) == _SHORTEST:
             break
     if not len(best):
         raise InvalidSceneError(
@@ -306,7 +316,7 @@ def _shortest(scene: Scene, target: int) -> tuple[Array, float, float]:
 def passable(scene: Scene, target: int) -> bool:
     """Whether some curve leads to goal `target`."""
     try:
-        _shortest(scene, scene.check_target(target))
+        shortest_curve(scene, scene.check_target(target))
     except InvalidSceneError:
         return False
     return True

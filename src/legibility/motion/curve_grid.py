@@ -43,7 +43,7 @@ class CurveGrid:
     ) -> None:
         self.scene, self.target, self.goal = scene, target, scene.target(target)
         self.longest, self.frame = longest, Frame.of(scene, target)
-        self.low, self.high = _region(self.frame, longest)
+        self.low, self.high = reachable(self.frame, longest)
         self.bounds = draw_bounds(scene, target, longest, reach)
         self.cells = np.ceil((self.high - self.low) * cells - 1e-9).astype(np.intp)
         self.cells[1:] |= 1  # odd, so that no border between cells is on the straight line
@@ -114,7 +114,7 @@ def free(scene: Scene, target: int, controls: Array) -> np.ndarray:
     return clear
 
 
-def _region(frame: Frame, longest: float) -> tuple[Array, Array]:
+def reachable(frame: Frame, longest: float) -> tuple[Array, Array]:
     """Low and high corner in the frame of all points on motions of at most that length [m].
 
     They lie in an ellipse whose foci are start and target.
@@ -131,7 +131,7 @@ def _region(frame: Frame, longest: float) -> tuple[Array, Array]:
 def draw_bounds(scene: Scene, target: int, longest: float, reach: float) -> tuple[Array, Array]:
     """Low and high corner [m] of the box from which control points are drawn."""
     frame = Frame.of(scene, target)
-    low, high = _region(frame, longest)
+    low, high = reachable(frame, longest)
     middle = frame.frame_to_world((low + high) / 2)
     half = np.sqrt((frame.rotation.T**2) @ (high - low) ** 2) / 2 * frame.scale
     low = np.maximum(middle - half, scene.workspace[0])

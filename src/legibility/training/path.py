@@ -16,19 +16,19 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..data.dataset import Dataset
+from ..data.dataset import LABEL_KNOTS, Dataset
 from ..errors import InvalidInputError
 from ..frame import Frame
 from ..models.configuration import PathDiffuserConfig
 from ..models.diffusion import noised, sampling_timesteps
-from ..models.path_diffuser import PathDiffuser
+from ..models.path_diffuser import DIAL_LEVELS, PathDiffuser, dial_of
 from ..models.provenance import Source, TeacherRecord
 from .configuration import FIXED_BY_DATA, DistillationConfig, PathTrainingConfig
 from .loop import Run, Trained, new_model, train
 from .scorer import FrameScorer
 from .team import Team
 
-_AT_ONCE = 64  # scenes that are read, or for which a teacher draws, at a time
+_AT_ONCE = 64  # scenes for which a teacher draws at a time
 
 
 class PathBatches:
@@ -45,20 +45,8 @@ class PathBatches:
         self.waypoints = torch.from_numpy(waypoints.astype(np.float32)).to(team.device)
         self.labels = torch.tensor(data.labels, device=team.device)
         self.scorer = FrameScorer(data, self.conditions)
-        self.readings: Tensor | None = None
-        if model.config.field:
-            dial, parts = model.dial.to(team.device), torch.arange(len(self.labels)).split(_AT_ONCE)
-            self.readings = torch.cat(
-                [dial.readings(self.conditions.map(lambda x, at=at: x[at])) for at in parts]
-            )
-
-    def knots(self, model: PathDiffuser, scenes: Tensor) -> Tensor | None:
-        """The dials of some `scenes (B,)` of the data, see `PathDiffuser.knots`."""
-        return None if self.readings is None else model.dial(self.readings[scenes])
-
-    def dial_loss(self, knots: Tensor | None, scenes: Tensor) -> dict[str, Tensor]:
-        """The loss of the dial of `scenes (B,)`; none without the field."""
-        return {} if knots is None else {"dial": self.scorer.dial_error(scenes, knots.float())}
+        levels = np.searchsorted(LABEL_KNOTS, DIAL_LEVELS)
+        self.dials = torch.from_numpy(dial_of(data.score_at_label[:, levels])).to(team.device)
 
     def loss(
         self, model: PathDiffuser, generator: torch.Generator
@@ -91,8 +79,8 @@ class PathBatches:
         kept = keep.repeat_interleave(per)
         conditions = self.conditions.without_image().map(lambda x: x[index])
         with self.team.autocast():
-            knots = self.knots(model, scenes)
-            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), knots, keep)
+            seen = self.conditions.map(lambda x: x[scenes])
+            scene = model.encode_scene(seen, self.dials[scenes], keep)
             context = model.encode(scene.repeat_interleave(per, 0), label, kept)
             predicted = model(noisy, timestep, context, conditions, kept)
         predicted = predicted.float()
@@ -109,7 +97,6 @@ class PathBatches:
             "label": (weight * error).sum(),
             "contact": (weight * self.scorer.contact(conditions, points)).sum(),
             "jerk": (weight * self.scorer.jerk(found, waypoints[clear])).sum(),
-            **self.dial_loss(knots, scenes),
         }
         return self.weighed(parts)
 
@@ -166,8 +153,7 @@ class DistillationBatches(PathBatches):
             rows = scenes.repeat_interleave(pairs)
             conditions = self.conditions.map(lambda x, rows=rows: x[rows])
             levels, drawn = self.labels[scenes].flatten(), noise[scenes].flatten(0, 1)
-            readings = None if self.readings is None else self.readings[rows]
-            paths = self.teacher.sample(conditions, levels, drawn, readings=readings).waypoints
+            paths = self.teacher.sample(conditions, levels, drawn, dial=self.dials[rows])
             self.waypoints[scenes] = paths.unflatten(0, (-1, pairs))
         self.teacher.to(before)
         report(num, num)
@@ -188,8 +174,8 @@ class DistillationBatches(PathBatches):
         conditions = self.conditions.without_image().map(lambda x: x[each])
         times = sampling_timesteps(len(model.signal), config.sampling_steps)
         with self.team.autocast():
-            knots = self.knots(model, scenes)
-            scene = model.encode_scene(self.conditions.map(lambda x: x[scenes]), knots)
+            seen = self.conditions.map(lambda x: x[scenes])
+            scene = model.encode_scene(seen, self.dials[scenes])
             context = model.encode(scene.repeat_interleave(per, 0), level)
             found = model.denoise(conditions, context, noise, times)
         found = found.float()
@@ -201,7 +187,6 @@ class DistillationBatches(PathBatches):
             "label": self.scorer.error(conditions, each, points, level).mean(),
             "contact": self.scorer.contact(conditions, points).mean(),
             "jerk": self.scorer.jerk(found, taught).mean(),
-            **self.dial_loss(knots, scenes),
         })  # fmt: skip
 
 
@@ -229,8 +214,6 @@ def train_path(
     settings |= {name: getattr(data.config, name) for name in FIXED_BY_DATA}
     model = new_model(PathDiffuser, PathDiffuserConfig(**settings), config.seed)
     check_data(model.config, data, validation)
-    if model.config.field:
-        model.dial.set_curves(data.config.observer)
     model.to(run.team.device)
     batches = PathBatches(data, model, config, run.team)
     model.spread.copy_(batches.spread(model))
@@ -308,19 +291,14 @@ def validate_dial(
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
     achieved = torch.empty(shape[:2], device=device)
     feasible = torch.zeros((), device=device)
-    knots = checks.knots(model, scenes)
     for column, level in enumerate(asked):
         levels_asked = level.expand(size)
         drawn = model.sample(
-            checks.conditions, levels_asked, noise[:, column], readings=checks.readings
+            checks.conditions, levels_asked, noise[:, column], dial=checks.dials
         )
-        points = checks.scorer.curve(drawn.waypoints)
+        points = checks.scorer.curve(drawn)
         achieved[:, column] = checks.scorer.label(checks.conditions, scenes, points).clamp(-1, 1)
         feasible += (checks.conditions.margin(points) >= -1e-3).all(dim=1).float().mean()
-    dial = {}
-    if knots is not None:
-        error = checks.scorer.label_errors(scenes, knots).abs().mean()
-        dial = {"validation_dial_error": float(error)}
     labels, wanted = achieved.cpu().numpy(), asked.cpu().numpy()
     ranks = np.array([spearmanr(wanted, row)[0] if np.ptp(row) > 1e-4 else 0.0 for row in labels])
     return {
@@ -330,5 +308,4 @@ def validate_dial(
         "validation_feasible": float(feasible / len(asked)),
         "validation_at_1": float(labels[:, -samples:].mean()),
         "validation_at_-1": float(labels[:, :samples].mean()),
-        **dial,
     }

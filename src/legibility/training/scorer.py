@@ -1,4 +1,4 @@
-"""Label, contact and jerk of paths, and the error of dials, as losses in PyTorch."""
+"""Label, contact and jerk of paths as losses in PyTorch."""
 
 import numpy as np
 import torch
@@ -9,14 +9,11 @@ from ..curves import NUM_WAYPOINTS, spline_matrix
 from ..data.dataset import LABEL_KNOTS, Dataset
 from ..intent.metrics import SCORE_POINTS
 from ..models.conditions import Conditions
-from ..models.dial import KNOTS
 from ..motion.archive import SMALLEST_RANGE
 
 _LEAST_COST = 1e-30
 _SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
-_LARGEST_ERROR, _COST_SHARE = 2.0, 0.1  # of the dial's loss: most of ℓ, weight of the log cost
 _PAD = 0.01  # distance to keep from solids and walls, in lengths of the straight line
-_STEP = (len(LABEL_KNOTS) - 1) // (KNOTS - 1)  # from a dial's knot to the next in the data
 
 
 class FrameScorer:
@@ -77,17 +74,6 @@ class FrameScorer:
         span = (high - low).clamp_min(1e-5 * (knots[:, -1:] - knots[:, :1]))
         step = self.values[1] - self.values[0]
         return self.values[right - 1] + (score - low) / span * step
-
-    def label_errors(self, scenes: Tensor, knots: Tensor) -> Tensor:
-        """Errors of ℓ `(B, KNOTS)` of the dials `knots (B, KNOTS)` of `scenes (B,)`."""
-        return self._read(scenes, -knots).clamp(-1, 1) - self.values[::_STEP]
-
-    def dial_error(self, scenes: Tensor, knots: Tensor) -> Tensor:
-        """Mean loss of the dials `knots (B, KNOTS)` of `scenes (B,)`: on ℓ, and on the log cost."""
-        level = self.values[::_STEP].expand_as(knots)
-        cost = F.smooth_l1_loss(-knots, self.knots[scenes, ::_STEP], beta=0.1)
-        error = self._weighed(scenes, self._read(scenes, -knots), level)
-        return error.clamp_max(_LARGEST_ERROR).mean() + _COST_SHARE * cost
 
     def error(
         self, conditions: Conditions, scenes: Tensor, points: Tensor, level: Tensor
