@@ -18,8 +18,8 @@ from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
-from ..motion.library import rough_archive
 from ..motion.path import least_margin
+from ..motion.rough_archive import rough_archive
 from ..scene import TOUCH, Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal

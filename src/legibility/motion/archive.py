@@ -36,10 +36,12 @@ from .curve_grid import (
     varied_controls,
     with_ends,
 )
+from .library import curve_library
 
 _BATCH = 1024
 _FINE = 4 * SCORE_POINTS  # points on which a length is measured
-_SHORTEST = 8  # curves kept in the search for the shortest
+_SHORTEST, _CHILDREN = 8, 128  # curves kept in the search for the shortest, and their variations
+_SPREAD = 0.2  # of the first of these, in lengths of the straight line
 
 DEFAULT_CELLS = {2: 28, 3: 11}
 """Cells along the straight line, by dimension."""
@@ -261,16 +263,17 @@ def _scored(
 def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
     """The straight line `(4, D)`, or the shortest feasible curve where it is blocked.
 
-    Random curves in a region that grows until some are feasible, then variations of the shortest.
+    Variations of the shortest of the library, or of random curves in a region that grows until some
+    are feasible.
 
     Returns:
         The curve, its length [m], and the margin (`REACH`) in which such curves were found.
     """
     straight = straight_controls(scene.start, scene.target(target))
     straight.setflags(write=False)
-    scale = Frame.of(scene, target).scale
+    frame = Frame.of(scene, target)
     if free(scene, target, straight[None])[0]:
-        return straight, scale, REACH
+        return straight, frame.scale, REACH
     rng = np.random.default_rng(0)
     best, lengths, reach = np.empty((0, 4, scene.dim)), np.empty(0), REACH
 
@@ -291,13 +294,18 @@ def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
         order = np.argsort(lengths, kind="stable")[:_SHORTEST]
         best, lengths = best[order], lengths[order]
 
-    for growth in 2.0 ** np.arange(6):
-        reach = min(growth * REACH, LARGEST_REACH)
-        bounds = draw_bounds(scene, target, 2.5 * growth * scale, reach)
-        for _ in range(4):
-            keep_shortest(with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
+    library = curve_library(scene.dim, DEFAULT_OBSERVER.detour)
+    for rows in np.array_split(library.by_length, len(library) // 256):
+        keep_shortest(library.between(frame, straight, rows))
         if len(best) == _SHORTEST:
             break
+    growth = 1.0
+    while len(best) < _SHORTEST and growth <= 32:
+        reach = min(growth * REACH, LARGEST_REACH)
+        bounds = draw_bounds(scene, target, 2.5 * growth * frame.scale, reach)
+        for _ in range(4):
+            keep_shortest(with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
+        growth *= 2
     if not len(best):
         raise InvalidSceneError(
             f"no curve leads from the start {scene.start.tolist()} to the target "
@@ -305,8 +313,8 @@ def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
             "workspace"
         )
     for generation in range(16):
-        parents = best[rng.integers(0, len(best), _BATCH // 4)][:, 1:3]
-        noise = rng.normal(0, 0.2 * scale * 0.75**generation, parents.shape)
+        parents = best[rng.integers(0, len(best), _CHILDREN)][:, 1:3]
+        noise = rng.normal(0, _SPREAD * frame.scale * 0.75**generation, parents.shape)
         keep_shortest(with_ends(parents + noise, straight))
     anchor = best[0]
     anchor.setflags(write=False)

@@ -1,8 +1,7 @@
-"""A scene's archive at a glance: ready-made curves take the place of a search.
+"""Ready-made curves for any scene: those of the archive of an empty room.
 
-A library holds, for each cell of the grid of an empty room, the cell's smoothest curve and a few
-that run elsewhere. In a scene each cell takes its first curve that keeps clear, where an archive
-searches. What is missed are curves that only a search finds, such as those through a narrow gap.
+A library holds the smoothest curve of each cell of the grid and a few others of the cell that run
+elsewhere, which can take its place where it touches something.
 
 `python -m legibility.motion.library` makes the files of the default detour again.
 """
@@ -10,7 +9,7 @@ searches. What is missed are curves that only a search finds, such as those thro
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,19 +20,16 @@ from ..checks import Array
 from ..curves import arc_length, farthest_from_segment
 from ..files import atomic_path
 from ..frame import Frame
-from ..intent.metrics import SCORE_POINTS, score_weights
-from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..intent.metrics import SCORE_POINTS
+from ..intent.observer import DEFAULT_OBSERVER
 from ..scene import Scene
-from .archive import Archive, shortest_curve
 from .bezier import bending_energy, bezier_trajectories, crosses_itself, straight_controls
-from .curve_grid import CurveGrid, free, random_controls, reachable, varied_controls, with_ends
+from .curve_grid import CurveGrid, random_controls, varied_controls, with_ends
 
 _CELLS = {2: 20, 3: 8}  # along the straight line, by dimension
 _CURVES = 4  # of a cell at most
 _APART = 0.1  # least distance between two of a cell, in lengths of the straight line
 _BATCH, _BATCHES = 1024, 150  # random curves to choose from; half of them are variations
-_POINTS = 24  # of a curve, at equal arc length, for lengths and scores
-_LEAST_COST = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +48,16 @@ class CurveLibrary:
 
     def __len__(self) -> int:
         return len(self.cells)
+
+    @functools.cached_property
+    def by_length(self) -> NDArray[np.intp]:
+        """Indices of the curves, the shortest first."""
+        lengths = arc_length(bezier_trajectories(self.controls, SCORE_POINTS))
+        return np.argsort(lengths, kind="stable")
+
+    def between(self, frame: Frame, ends: Array, rows: NDArray[np.intp]) -> Array:
+        """Control points `(M, 4, D)` [m] of some curves in a frame, from and to those of `ends`."""
+        return with_ends(frame.frame_to_world(self.controls[rows, 1:3]), ends)
 
     def save(self, file: Path) -> None:
         """Write the curves to a file of tensors."""
@@ -111,75 +117,6 @@ def make_library(dim: int, detour: float) -> CurveLibrary:
             chosen.append(i)
             gap = np.minimum(gap, np.abs(points[rows] - points[i]).max((1, 2)))
     return CurveLibrary(detour, controls[keep[chosen]], cells[chosen])
-
-
-@functools.lru_cache(maxsize=1024)
-@np.errstate(under="ignore")
-def rough_archive(scene: Scene, target: int, observer: Observer) -> Archive:
-    """The archive of a scene by the curves of its library, in a tenth of the time; cached.
-
-    Raises:
-        InvalidSceneError: no curve leads to the target.
-    """
-    archive = _geometry(scene, target, observer.detour)
-    curves = bezier_trajectories(archive.controls, _POINTS)
-    potential = observer.field(scene).potential(curves, target)
-    scores = -potential @ score_weights(_POINTS, observer.alpha)
-    # The last is the motion at ℓ = 0, whose score is that of an archive; the others follow.
-    anchor = bezier_trajectories(archive.anchor[None], SCORE_POINTS)
-    anchor_score = float(observer.score(anchor, scene, target)[0])
-    scores *= anchor_score / min(scores[-1], -_LEAST_COST)
-    scores[-1] = anchor_score
-    labels = observer.labels(scores, anchor_score)
-    return replace(
-        archive, observer=observer, scores=scores, labels=labels, anchor_score=anchor_score
-    )
-
-
-@functools.lru_cache(maxsize=256)
-def _geometry(scene: Scene, target: int, detour: float) -> Archive:
-    """The curves of a scene, the motion at ℓ = 0 last, without scores and labels."""
-    library = curve_library(scene.dim, detour)
-    anchor, shortest, _ = shortest_curve(scene, target)
-    frame, longest = Frame.of(scene, target), detour * shortest
-    controls = library.controls
-    if shortest > frame.scale:
-        # Curves may be longer where the straight line is blocked: stretch them to the new region.
-        region, own = (np.ptp(reachable(frame, x), axis=0) for x in (longest, detour * frame.scale))
-        middle = np.eye(scene.dim)[0] / 2
-        inner = (controls[:, 1:3] - middle) * region / own + middle
-        controls = with_ends(inner, controls[0])
-    controls = frame.frame_to_world(controls)
-    controls[:, [0, -1]] = anchor[[0, -1]]
-    first = np.flatnonzero(np.diff(library.cells, prepend=-1))
-    last = np.append(first[1:], len(library))
-    taken, tried = [np.empty(0, dtype=np.intp)], 0
-    while len(first):
-        tried += len(first)
-        clear = free(scene, target, controls[first])
-        if shortest > frame.scale:
-            curves = bezier_trajectories(controls[first], _POINTS)
-            clear &= arc_length(curves) <= longest
-        taken.append(first[clear])
-        first, last = first[~clear] + 1, last[~clear]
-        first, last = first[first < last], last[first < last]
-    controls = np.concatenate([controls[np.sort(np.concatenate(taken))], anchor[None]])
-    points = bezier_trajectories(controls, _POINTS)
-    nothing = np.zeros(len(controls))
-    return Archive(
-        scene=scene,
-        target=target,
-        observer=DEFAULT_OBSERVER,
-        controls=controls,
-        descriptors=farthest_from_segment(points, scene.start, scene.target(target)),
-        energies=bending_energy(controls),
-        scores=nothing,
-        labels=nothing,
-        anchor=anchor,
-        anchor_score=0.0,
-        num_candidates=tried,
-        cells_reached=int(library.cells[-1]) + 1,
-    )
 
 
 def _file(dim: int) -> Path:

@@ -293,9 +293,7 @@ def validate_dial(
     feasible = torch.zeros((), device=device)
     for column, level in enumerate(asked):
         levels_asked = level.expand(size)
-        drawn = model.sample(
-            checks.conditions, levels_asked, noise[:, column], dial=checks.dials
-        )
+        drawn = model.sample(checks.conditions, levels_asked, noise[:, column], dial=checks.dials)
         points = checks.scorer.curve(drawn)
         achieved[:, column] = checks.scorer.label(checks.conditions, scenes, points).clamp(-1, 1)
         feasible += (checks.conditions.margin(points) >= -1e-3).all(dim=1).float().mean()

@@ -1,0 +1,94 @@
+"""A scene's archive at a glance: the curves of a library take the place of a search.
+
+Each cell takes its first curve that keeps clear. What is missed are curves that only a search
+finds, such as those through a narrow gap.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+
+from ..curves import arc_length, farthest_from_segment
+from ..frame import Frame
+from ..intent.metrics import SCORE_POINTS, score_weights
+from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..scene import Scene
+from .archive import Archive, shortest_curve
+from .bezier import bending_energy, bezier_trajectories
+from .curve_grid import free, reachable, with_ends
+from .library import curve_library
+
+_POINTS = 24  # of a curve, at equal arc length, for lengths and scores
+_LEAST_COST = 1e-300
+
+
+@functools.lru_cache(maxsize=1024)
+@np.errstate(under="ignore")
+def rough_archive(scene: Scene, target: int, observer: Observer) -> Archive:
+    """The archive of a scene by the curves of its library, in a tenth of the time; cached.
+
+    Raises:
+        InvalidSceneError: no curve leads to the target.
+    """
+    archive = _geometry(scene, target, observer.detour)
+    curves = bezier_trajectories(archive.controls, _POINTS)
+    potential = observer.field(scene).potential(curves, target)
+    scores = -potential @ score_weights(_POINTS, observer.alpha)
+    # The last is the motion at ℓ = 0, whose score is that of an archive; the others follow.
+    anchor = bezier_trajectories(archive.anchor[None], SCORE_POINTS)
+    anchor_score = float(observer.score(anchor, scene, target)[0])
+    scores *= anchor_score / min(scores[-1], -_LEAST_COST)
+    scores[-1] = anchor_score
+    labels = observer.labels(scores, anchor_score)
+    return replace(
+        archive, observer=observer, scores=scores, labels=labels, anchor_score=anchor_score
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _geometry(scene: Scene, target: int, detour: float) -> Archive:
+    """The curves of a scene, the motion at ℓ = 0 last, without scores and labels."""
+    library = curve_library(scene.dim, detour)
+    anchor, shortest, _ = shortest_curve(scene, target)
+    frame, longest = Frame.of(scene, target), detour * shortest
+    controls = library.controls
+    if shortest > frame.scale:
+        # Curves may be longer where the straight line is blocked: stretch them to the new region.
+        region, own = (np.ptp(reachable(frame, x), axis=0) for x in (longest, detour * frame.scale))
+        middle = np.eye(scene.dim)[0] / 2
+        inner = (controls[:, 1:3] - middle) * region / own + middle
+        controls = with_ends(inner, controls[0])
+    controls = frame.frame_to_world(controls)
+    controls[:, [0, -1]] = anchor[[0, -1]]
+    first = np.flatnonzero(np.diff(library.cells, prepend=-1))
+    last = np.append(first[1:], len(library))
+    taken, tried = [np.empty(0, dtype=np.intp)], 0
+    while len(first):
+        tried += len(first)
+        clear = free(scene, target, controls[first])
+        if shortest > frame.scale:
+            curves = bezier_trajectories(controls[first], _POINTS)
+            clear &= arc_length(curves) <= longest
+        taken.append(first[clear])
+        first, last = first[~clear] + 1, last[~clear]
+        first, last = first[first < last], last[first < last]
+    controls = np.concatenate([controls[np.sort(np.concatenate(taken))], anchor[None]])
+    points = bezier_trajectories(controls, _POINTS)
+    nothing = np.zeros(len(controls))
+    return Archive(
+        scene=scene,
+        target=target,
+        observer=DEFAULT_OBSERVER,
+        controls=controls,
+        descriptors=farthest_from_segment(points, scene.start, scene.target(target)),
+        energies=bending_energy(controls),
+        scores=nothing,
+        labels=nothing,
+        anchor=anchor,
+        anchor_score=0.0,
+        num_candidates=tried,
+        cells_reached=int(library.cells[-1]) + 1,
+    )
