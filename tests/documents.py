@@ -193,7 +193,7 @@ def bench(model="m"):
                 _row("plan_ms", 3, **torch, batch=1, goals=2),
                 _row("plan_ms", 1, **onnx, batch=1, goals=4),
                 _row("plan_one_core_ms", 0.5, **onnx),
-                _row("plan_obstacles_ms", 0.75, **onnx, mode="exact"),
+                _row("plan_obstacles_ms", 0.75, **onnx, mode="exact", scene="known"),
                 _row("archive_ms", 64.04, dim=2),
                 _row("training_steps_per_second", 16, dim=2, precision="bf16"),
                 _row("import_ms", 100),

@@ -56,13 +56,7 @@ def halved(model):
 def make(dim=2, seed=0, noise=0.3, **changes):
     """A tiny untrained modulator; `noise` is the size of its outlet's weights."""
     torch.manual_seed(seed)
-    shape = {
-        "channels": (8, 16),
-        "condition": 16,
-        "encoder_width": 8,
-        "resolution": 16,
-        "curves": 16,
-    }
+    shape = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
     model = PathDiffuser(PathDiffuserConfig(**{"dim": dim, **shape, **changes}))
     torch.nn.init.normal_(model.unet.outlet.weight, std=noise)
     torch.nn.init.normal_(model.no_level)

@@ -18,7 +18,7 @@ from legibility.training.team import Team
 torch.set_num_threads(1)
 
 CPU = Team(torch.device("cpu"))
-TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16, "curves": 16}
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
 SHORT = PathTrainingConfig(
     steps=8, scenes=3, per_scene=4, warmup=3, validate_every=5, checkpoint_every=4
 )

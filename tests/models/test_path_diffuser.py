@@ -14,9 +14,9 @@ from legibility.models.checkpoint import load_state
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import ddim, noise_schedule, sampling_timesteps
 from legibility.models.inputs import DEPTH, vector_size
-from legibility.models.path_diffuser import PathDiffuser
+from legibility.models.path_diffuser import DIAL_LEVELS, PathDiffuser, dial_of
 
-TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16, "curves": 16}
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
 
 
 def make(dim=2, seed=0, loud=True, **changes):
@@ -29,8 +29,6 @@ def make(dim=2, seed=0, loud=True, **changes):
         torch.nn.init.normal_(model.no_level)
         model.spread.uniform_(0.5, 2)
     model.signal.copy_(noise_schedule(model.config.diffusion_steps))
-    if model.config.field:
-        model.dial.set_curves(model.config.observer)
     return model.eval()
 
 
@@ -42,6 +40,11 @@ def conditions_of(model, seen, targets=None, observer=None):
     """Those of scenes for one observer; the target is goal 0 if not given."""
     size = len(seen)
     return model.conditions(seen, targets or [0] * size, [observer or Observer()] * size)
+
+
+def dials(conditions):
+    """Some dial for each scene, `(B, 17)`."""
+    return conditions.vector.sum(1, keepdim=True) - torch.linspace(0, 3, len(DIAL_LEVELS))
 
 
 def barred(scene):
@@ -162,10 +165,7 @@ class TestConditions:
         context, times = torch.randn(3, 16), torch.tensor([10, 50, 90])
         with torch.no_grad():
             pairs = [
-                (
-                    model.encode_scene(one, model.knots(one)),
-                    model.encode_scene(two, model.knots(two)),
-                ),
+                (model.encode_scene(one, dials(one)), model.encode_scene(two, dials(two))),
                 [model(noise(3, dim), times, context, c) for c in (one, two)],
             ]
         for a, b in pairs:
@@ -184,15 +184,15 @@ class TestConditions:
         for keep, same in (([False] * 3, [True] * 3), ([True, False, True], [False, True, False])):
             keep = torch.tensor(keep)
             one, two = (
-                model.encode_scene(conditions, model.knots(conditions), keep),
-                model.encode_scene(other, model.knots(other), keep),
+                model.encode_scene(conditions, dials(conditions), keep),
+                model.encode_scene(other, dials(other), keep),
             )
             assert [torch.equal(a, b) for a, b in zip(one, two, strict=True)] == same
 
     def test_dropped_level_is_ignored(self):
         model = make()
         conditions = conditions_of(model, scenes(2))
-        scene = model.encode_scene(conditions, model.knots(conditions))
+        scene = model.encode_scene(conditions, dials(conditions))
         keep = torch.tensor([False, True, False])
         one = model.encode(scene, torch.tensor([-1.0, -1, 0]), keep)
         two = model.encode(scene, torch.tensor([1.0, 1, 0.5]), keep)
@@ -211,12 +211,10 @@ class TestConditions:
     def test_kept_is_the_default(self):
         model = make()
         conditions = conditions_of(model, scenes(2))
-        scene = model.encode_scene(conditions, model.knots(conditions))
+        scene = model.encode_scene(conditions, dials(conditions))
         assert torch.equal(
             scene,
-            model.encode_scene(
-                conditions, model.knots(conditions), torch.ones(3, dtype=torch.bool)
-            ),
+            model.encode_scene(conditions, dials(conditions), torch.ones(3, dtype=torch.bool)),
         )
         level = torch.tensor([-1.0, 0, 1])
         kept = model.encode(scene, level, torch.ones(3, dtype=torch.bool))
@@ -228,8 +226,8 @@ class TestSample:
         dim = model.config.dim
         conditions = conditions_of(model, scenes(dim))
         return model.sample(
-            conditions, torch.tensor(level), noise(3, dim, seed), **options
-        ).waypoints
+            conditions, torch.tensor(level), noise(3, dim, seed), dial=dials(conditions), **options
+        )
 
     @pytest.mark.parametrize("channels", [(8,), (8, 16), (8, 16, 16)])
     def test_shape_and_finite(self, dim, channels):
@@ -251,7 +249,9 @@ class TestSample:
     def test_rows_do_not_meet(self, dim):
         model = make(dim)
         conditions = conditions_of(model, scenes(dim)).map(lambda x: x[1:2])
-        alone = model.sample(conditions, torch.tensor([0.0]), noise(3, dim)[1:2]).waypoints
+        alone = model.sample(
+            conditions, torch.tensor([0.0]), noise(3, dim)[1:2], dial=dials(conditions)
+        )
         torch.testing.assert_close(alone, self.sample(model)[1:2], atol=1e-5, rtol=1e-5)
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
@@ -260,9 +260,9 @@ class TestSample:
         model, level = make(dim), torch.tensor([-1.0, 0.3, 1])
         conditions = conditions_of(model, scenes(dim))
         times, never = sampling_timesteps(100, 3), torch.zeros(3, dtype=torch.bool)
-        context = model.encode(model.encode_scene(conditions, model.knots(conditions)), level)
+        context = model.encode(model.encode_scene(conditions, dials(conditions)), level)
         nothing = model.encode(
-            model.encode_scene(conditions, model.knots(conditions), never), level, never
+            model.encode_scene(conditions, dials(conditions), never), level, never
         )
         weight = guidance * level[:, None, None] ** 4
 
@@ -274,19 +274,22 @@ class TestSample:
 
         with torch.no_grad():
             expected = model.from_latent(ddim(velocity, noise(3, dim), model.signal, times))
-        found = model.sample(conditions, level, noise(3, dim), guidance=guidance).waypoints
+        found = model.sample(
+            conditions, level, noise(3, dim), guidance=guidance, dial=dials(conditions)
+        )
         torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
     def test_a_large_batch_is_that_of_each_row(self, dim):
         model, level = make(dim), torch.linspace(-1, 1, 150)
         many = [Scene.random(np.random.default_rng(i), dim=dim) for i in range(150)]
         whole = conditions_of(model, many)
-        found = model.sample(whole, level, noise(150, dim))
+        found = model.sample(whole, level, noise(150, dim), dial=dials(whole))
         for i in (0, 63, 64, 149):
             alone = whole.map(lambda x, i=i: x[i : i + 1])
-            expected = model.sample(alone, level[i : i + 1], noise(150, dim)[i : i + 1])
-            for all_rows, row in zip(found, expected, strict=True):
-                torch.testing.assert_close(all_rows[i : i + 1], row, atol=1e-4, rtol=1e-4)
+            expected = model.sample(
+                alone, level[i : i + 1], noise(150, dim)[i : i + 1], dial=dials(alone)
+            )
+            torch.testing.assert_close(found[i : i + 1], expected, atol=1e-4, rtol=1e-4)
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
     def test_one_scene_for_all_levels(self, dim, guidance):
@@ -294,8 +297,8 @@ class TestSample:
         once = conditions_of(model, scenes(dim)[:1])
         thrice = conditions_of(model, scenes(dim)[:1] * 3)
         torch.testing.assert_close(
-            model.sample(once, level, noise(3, dim), guidance=guidance),
-            model.sample(thrice, level, noise(3, dim), guidance=guidance),
+            model.sample(once, level, noise(3, dim), guidance=guidance, dial=dials(once)),
+            model.sample(thrice, level, noise(3, dim), guidance=guidance, dial=dials(thrice)),
             atol=1e-5,
             rtol=1e-5,
         )
@@ -329,8 +332,12 @@ class TestWithoutField:
     def sample(self, model, seen, level=1.0, **options):
         conditions = conditions_of(model, seen, observer=Observer(beta=20.0))
         return model.sample(
-            conditions, torch.full((3,), level), noise(3, model.config.dim), **options
-        ).waypoints
+            conditions,
+            torch.full((3,), level),
+            noise(3, model.config.dim),
+            dial=dials(conditions),
+            **options,
+        )
 
     @pytest.mark.parametrize("guidance", [0.0, 0.5])
     def test_distractors_are_not_seen(self, dim, guidance):
@@ -369,7 +376,7 @@ class TestWithoutField:
         conditions = conditions_of(model, scenes(2))
         keep = torch.tensor([True, False, True])
         context = model.encode(
-            model.encode_scene(conditions, model.knots(conditions), keep), torch.ones(3), keep
+            model.encode_scene(conditions, dials(conditions), keep), torch.ones(3), keep
         )
         model(noise(3, 2), torch.full((3,), 50), context, conditions, keep).sum().backward()
         assert all(parameter.grad is not None for parameter in model.parameters())
@@ -379,6 +386,23 @@ class TestWithoutField:
             load_state(make(field=False), make().state_dict(), "path.safetensors")
         with pytest.raises(CheckpointError, match="missing"):
             load_state(make(), make(field=False).state_dict(), "path.safetensors")
+
+
+class TestDial:
+    def test_is_the_log_of_the_cost(self):
+        scores = np.array([[-1.0, -np.exp(-2), -1e-40, 0.0]])
+        np.testing.assert_allclose(dial_of(scores), [[0, -2, np.log(1e-30), np.log(1e-30)]])
+
+    def test_is_seen(self, dim):
+        model = make(dim)
+        conditions = conditions_of(model, scenes(dim))
+        one, two = (model.encode_scene(conditions, x * dials(conditions)) for x in (1, 2))
+        assert ((one - two).abs().amax(1) > 1e-4).all()
+
+    def test_must_be_given(self):
+        model = make()
+        with pytest.raises(InvalidInputError, match="dial must be that of each scene, got None"):
+            model.encode_scene(conditions_of(model, scenes(2)), None)
 
 
 class TestSampler:
@@ -395,7 +419,7 @@ class TestSampler:
         )
         model = make(dim=2, diffusion_steps=20, sampling_steps=20)
         conditions, level = conditions_of(model, scenes(2)[:1]), torch.tensor([0.5])
-        context = model.encode(model.encode_scene(conditions, model.knots(conditions)), level)
+        context = model.encode(model.encode_scene(conditions, dials(conditions)), level)
         scheduler.set_timesteps(20)
         assert scheduler.timesteps.tolist() == sampling_timesteps(20, 20)
         latent = noise(1, 2)
@@ -404,7 +428,7 @@ class TestSampler:
                 velocity = model(latent, time.expand(1), context, conditions)
                 latent = scheduler.step(velocity, int(time), latent).prev_sample
             expected = model.from_latent(latent)
-        found = model.sample(conditions, level, noise(1, 2), guidance=0.0).waypoints
+        found = model.sample(conditions, level, noise(1, 2), guidance=0.0, dial=dials(conditions))
         torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
@@ -417,7 +441,7 @@ def test_level_is_learned_within_a_few_steps():
     wanted = level[:, None, None].expand(3, NUM_WAYPOINTS, 2)
     losses = []
     for _ in range(30):
-        context = model.encode(model.encode_scene(conditions, model.knots(conditions)), level)
+        context = model.encode(model.encode_scene(conditions, dials(conditions)), level)
         velocity = model(noise(3, 2), torch.full((3,), 99), context, conditions)
         loss = (velocity - wanted).square().mean()
         optimizer.zero_grad()
@@ -427,7 +451,7 @@ def test_level_is_learned_within_a_few_steps():
     assert losses[-1] < 0.1 * losses[0]
     model.eval()
     low, high = (
-        model.sample(conditions, torch.full((3,), value), noise(3, 2)).waypoints
+        model.sample(conditions, torch.full((3,), value), noise(3, 2), dial=dials(conditions))
         for value in (-1.0, 1.0)
     )
     assert (low - high).abs().mean() > 0.01

@@ -11,13 +11,14 @@ from legibility.frame import Frame
 from legibility.models import path_sampler
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.models.diffusion import noise_schedule
-from legibility.models.path_diffuser import Drawn, PathDiffuser
+from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.path_sampler import PathSampler, Sampling, Tasks
 from legibility.motion.archive import scene_archive
+from legibility.motion.rough_archive import rough_archive
 
 SCENE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
 BARRED = lg.Scene(SCENE.start, SCENE.goals, obstacles=[lg.Ball([0.4, 0.55], 0.08)])
-TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16, "curves": 16}
+TINY = {"channels": (8, 16), "condition": 16, "encoder_width": 8, "resolution": 16}
 PLAIN = Sampling()
 
 
@@ -36,26 +37,21 @@ def bulge(size):
 
 
 class Scripted:
-    """In place of `PathDiffuser.sample`: the next of some bulges for each batch of levels.
+    """In place of `PathDiffuser.sample`: the next of some bulges for each batch of levels."""
 
-    Args:
-        sizes: of the bulges.
-        cost: what the dial asks for at levels `(B,)`; that of a model without the field if not
-            given.
-    """
+    def __init__(self, *sizes):
+        self.sizes, self.levels, self.dials = list(sizes), [], []
 
-    def __init__(self, *sizes, cost=lambda level: None):
-        self.sizes, self.levels, self.cost = list(sizes), [], cost
-
-    def __call__(self, conditions, level, noise, **options):
+    def __call__(self, conditions, level, noise, *, dial, **options):
         self.levels.append(level.tolist())
+        self.dials.append(dial)
         size = self.sizes.pop(0)
         paths = np.stack([bulge(s) for s in np.broadcast_to(size, len(level))])
-        return Drawn(torch.tensor(paths).float(), self.cost(level))
+        return torch.tensor(paths).float()
 
 
-def scripted(*sizes, cost=lambda level: None, **changes):
-    script = Scripted(*sizes, cost=cost)
+def scripted(*sizes, **changes):
+    script = Scripted(*sizes)
     return PathSampler(network(**changes), script, "script"), script
 
 
@@ -79,7 +75,7 @@ class TestDraw:
         scenes = [lg.Scene.random(np.random.default_rng(seed)) for seed in range(3)]
         sampler, _ = scripted(0.2)
         each = Tasks(scenes, [0, 1, 1], [lg.Observer()] * 3, np.zeros(3))
-        paths, _ = sampler.draw(each, 0, PLAIN)
+        paths = sampler.draw(each, 0, PLAIN)
         assert paths.shape == (3, NUM_WAYPOINTS + 2, 2)
         for path, scene, target in zip(paths, scenes, [0, 1, 1], strict=True):
             np.testing.assert_array_equal(path[[0, -1]], [scene.start, scene.goals[target]])
@@ -88,7 +84,7 @@ class TestDraw:
 
     def test_the_seed_alone_decides(self):
         sampler = PathSampler(model := network(), model.sample, "tiny")
-        draws = [sampler.draw(tasks(np.zeros(2)), seed, PLAIN)[0] for seed in (1, 1, 2)]
+        draws = [sampler.draw(tasks(np.zeros(2)), seed, PLAIN) for seed in (1, 1, 2)]
         np.testing.assert_array_equal(draws[0], draws[1])
         assert np.abs(draws[0] - draws[2]).max() > 1e-3
 
@@ -97,17 +93,20 @@ class TestDraw:
         with pytest.raises(CheckpointError, match="the model script drew a path that is not"):
             sampler.draw(tasks(0.0), 0, PLAIN)
 
-    @pytest.mark.parametrize("cost", [np.nan, np.inf, 1e4])
-    def test_nor_a_cost(self, cost):
-        sampler, _ = scripted(0.1, cost=lambda level: torch.full_like(level, cost))
-        with pytest.raises(CheckpointError, match="the model script drew a path that is not"):
-            sampler.draw(tasks([0.0, 1.0]), 0, PLAIN)
+    def test_the_network_is_told_the_dial_of_each_scene(self):
+        sampler, script = scripted(0.1, 0.1)
+        each = Tasks([SCENE, BARRED], [0, 1], [lg.Observer(), lg.Observer(beta=3)], np.zeros(2))
+        sampler.draw(each, 0, PLAIN)
+        for dial, row in zip(script.dials[0], zip(*each[:3], strict=True), strict=True):
+            scores = rough_archive(*row).score_of(np.linspace(-1, 1, 17))
+            np.testing.assert_allclose(dial, np.log(-scores), rtol=1e-5)
+        sampler.draw(tasks([0.1, 0.2, 0.3]), 0, PLAIN)
+        assert script.dials[1].shape == (1, 17)  # of the one scene
 
-    def test_the_score_is_that_of_the_dial(self):
-        sampler, _ = scripted(0.1, cost=lambda level: 2 - level)
-        _, scores = sampler.draw(tasks([-1.0, 0.5]), 0, PLAIN)
-        np.testing.assert_allclose(scores, -np.exp([3, 1.5]))
-        assert scripted(0.1)[0].draw(tasks(0.5), 0, PLAIN)[1] is None
+    def test_a_network_without_the_field_is_not(self):
+        sampler, script = scripted(0.1, field=False)
+        sampler.draw(tasks(0.0), 0, PLAIN)
+        assert script.dials == [None]
 
 
 class TestRetries:
@@ -124,21 +123,15 @@ class TestRetries:
 
     def test_the_wrong_side_is_drawn_again_for_a_little_less(self):
         sampler, script = scripted(-0.4, -0.4, 0.4)
-        paths, _ = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
+        paths = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
         assert np.diff(np.concatenate(script.levels)).max() < 0
         assert min(script.levels)[0] > 0.9
         assert score(paths[0]) > score(np.linspace(SCENE.start, SCENE.goals[0], 10))
 
-    def test_the_score_stays_that_of_the_level_asked_for(self):
-        sampler, script = scripted(-0.4, 0.4, cost=lambda level: -level)
-        _, scores = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
-        assert len(script.levels) == 2
-        np.testing.assert_allclose(scores, -np.exp(-1.0), rtol=1e-6)
-
     def test_only_those_on_the_wrong_side(self):
         sampler, script = scripted([0.4, 0.4, -0.4], [-0.4])
         levels = np.array([1.0, -0.5, -1.0])
-        paths, _ = sampler.draw_with_retries(tasks(levels), 0, PLAIN)
+        paths = sampler.draw_with_retries(tasks(levels), 0, PLAIN)
         assert [len(level) for level in script.levels] == [3, 1]
         assert script.levels[1][0] == pytest.approx(-0.5 * 0.97)
         straight = score(np.linspace(SCENE.start, SCENE.goals[0], 10))
@@ -152,22 +145,24 @@ class TestRetries:
     @pytest.mark.parametrize(
         "changes", [{"observer": lg.Observer(label="rank")}, {"field": False}], ids=str
     )
-    def test_none_without_a_straight_line_to_compare_with(self, changes):
+    def test_none_without_a_border_to_compare_with(self, changes):
         sampler, script = scripted(-0.4, **changes)
         sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
         assert len(script.levels) == 1
 
-    def test_none_where_the_straight_line_is_blocked(self):
-        """ℓ = 0 is another curve there; what keeps clear is kept."""
-        sampler, script = scripted(-0.4)
-        sampler.draw_with_retries(tasks(1.0, BARRED), 0, PLAIN)
-        assert len(script.levels) == 1
+    def test_the_shortest_curve_is_the_border_where_the_straight_line_is_blocked(self):
+        border = rough_archive(BARRED, 0, lg.Observer()).anchor_score
+        assert score(through(-0.4)) < border < score(through(0.4))
+        for level, draws in ((1.0, 2), (-1.0, 1)):
+            sampler, script = scripted(-0.4, 0.4)
+            sampler.draw_with_retries(tasks(level, BARRED), 0, PLAIN)
+            assert len(script.levels) == draws
 
     def test_each_row_is_judged_in_its_own_scene(self):
         """What leads away from the other goal for one target leads toward it for the other."""
         sampler, script = scripted([0.4, 0.4], -0.4)
         each = Tasks([SCENE] * 2, [0, 1], [lg.Observer()] * 2, np.array([1.0, 1.0]))
-        paths, _ = sampler.draw_with_retries(each, 0, PLAIN)
+        paths = sampler.draw_with_retries(each, 0, PLAIN)
         assert [len(level) for level in script.levels] == [2, 1]
         np.testing.assert_allclose(paths[0], through(0.4), atol=1e-6)
 
@@ -175,14 +170,14 @@ class TestRetries:
 class TestContact:
     def test_what_touches_is_drawn_again_and_the_first_clear_one_taken(self):
         sampler, script = scripted([0.4, 0.0], [0.0, 0.02, 0.04, 0.3, 0.0, 0.4, 0.0, 0.0])
-        paths, _ = sampler.draw_with_retries(tasks([0.5, -0.3], BARRED), 0, PLAIN)
+        paths = sampler.draw_with_retries(tasks([0.5, 0.0], BARRED), 0, PLAIN)
         assert [len(level) for level in script.levels] == [2, 8]
-        np.testing.assert_allclose(script.levels[1], -0.3)
+        np.testing.assert_array_equal(script.levels[1], 0)
         np.testing.assert_allclose(paths, [through(0.4), through(0.3)], atol=1e-6)
 
     def test_or_the_one_that_touches_least(self):
         sampler, _ = scripted(0.0, [0.0, 0.02, 0.04, 0.01, 0.05, 0.0, 0.0, 0.0])
-        paths, _ = sampler.draw_with_retries(tasks(0.5, BARRED), 0, PLAIN)
+        paths = sampler.draw_with_retries(tasks(0.5, BARRED), 0, PLAIN)
         np.testing.assert_allclose(paths[0], through(0.05), atol=1e-6)
 
     def test_margin(self):
@@ -200,41 +195,47 @@ class TestPlan:
         assert BARRED.feasible(path_curve(paths, 200), 0).all()
         assert not replaced.any()
 
-    def test_a_quick_plan_meets_the_score_that_the_dial_asks_for(self):
-        """And the curve through a bulge keeps its own where no dial asks for another."""
-        wanted = score(np.stack([through(0.4), through(-0.15), through(0.0)]))
-        asked = torch.tensor(np.log(-wanted))
-        sizes = [0.2, -0.3, 0.1]
-        drawn = score(np.stack(list(map(through, sizes))))
+    @pytest.mark.parametrize("exact", [False, True])
+    def test_meets_the_score_that_the_archive_asks_for(self, exact):
+        """And the curve through a bulge keeps its own where there is no field."""
+        levels, sizes = [0.5, -0.5, 0.2], [0.1, -0.3, 0.3]
+        archive = (scene_archive if exact else rough_archive)(SCENE, 0, lg.Observer())
+        wanted, drawn = archive.score_of(levels), score(np.stack(list(map(through, sizes))))
         assert (np.abs(np.log(drawn / wanted)) > 0.1).all()
-        for cost, expected in ((lambda _: asked, wanted), (lambda _: None, drawn)):
-            sampler, _ = scripted(sizes, cost=cost, field=cost(0) is not None)
-            paths, replaced = sampler.plan(
-                tasks([0.5, -0.5, 0.2]), 0, PLAIN, exact=False, refine=True
-            )
+        for field, expected in ((True, wanted), (False, drawn)):
+            sampler, _ = scripted(sizes, field=field)
+            paths, replaced = sampler.plan(tasks(levels), 0, PLAIN, exact=exact, refine=True)
             np.testing.assert_allclose(score(paths), expected, rtol=0.01)
             assert not replaced.any()
 
-    def test_of_several_candidates_the_first_meets_the_score_and_the_others_keep_theirs(self):
-        wanted, sizes = score(np.stack([through(0.35), through(-0.2)])), [0.2, 0.1, -0.3, -0.1]
-        asked = torch.tensor(np.log(-wanted)).repeat_interleave(2)
+    @pytest.mark.parametrize("exact", [False, True])
+    def test_of_several_candidates_the_first_meets_the_score_and_the_others_keep_theirs(
+        self, exact
+    ):
+        archive = (scene_archive if exact else rough_archive)(SCENE, 0, lg.Observer())
+        wanted, sizes = archive.score_of([0.8, -0.5]), [0.3, 0.1, -0.3, -0.1]
         drawn = score(np.stack(list(map(through, sizes))))
-        sampler, _ = scripted(sizes, cost=lambda _: asked)
+        sampler, _ = scripted(sizes)
         four = tasks([0.8, 0.8, -0.5, -0.5])
-        paths, _ = sampler.plan(four, 0, PLAIN, exact=False, refine=True, candidates=2)
+        paths, _ = sampler.plan(four, 0, PLAIN, exact=exact, refine=True, candidates=2)
         expected = [wanted[0], drawn[1], wanted[1], drawn[3]]
         assert (np.abs(np.log(drawn / wanted.repeat(2))) > 0.1).all()
         np.testing.assert_allclose(score(paths), expected, rtol=0.01)
 
     def test_each_row_meets_the_score_of_its_own_scene(self):
-        wanted = [score(through(0.4)[None])[0], score(through(0.3)[None])[0]]
-        asked = torch.tensor(np.log(-np.array(wanted)))
-        sampler, _ = scripted([0.2, 0.2], cost=lambda _: asked)
-        each = Tasks([SCENE] * 2, [0, 0], [lg.Observer()] * 2, np.array([0.9, 0.6]))
-        paths, _ = sampler.plan(each, 0, PLAIN, exact=False, refine=True)
-        np.testing.assert_allclose(score(paths), wanted, rtol=0.01)
+        scenes, levels = [SCENE, BARRED], np.array([0.9, 0.6])
+        observers = [lg.Observer(), lg.Observer(beta=5)]
+        sampler, _ = scripted([0.2, 0.2])
+        paths, _ = sampler.plan(
+            Tasks(scenes, [0, 0], observers, levels), 0, PLAIN, exact=False, refine=True
+        )
+        for path, level, scene, observer in zip(paths, levels, scenes, observers, strict=True):
+            wanted = rough_archive(scene, 0, observer).score_of(level)
+            assert observer.score(path_curve(path, 200), scene, 0) == pytest.approx(
+                wanted, rel=0.01
+            )
 
-    def test_an_exact_plan_takes_the_archives_nearest_curve_where_that_comes_nearer(self):
+    def test_takes_the_archives_nearest_curve_where_that_comes_nearer(self):
         """A path on one side of a wall cannot get the score of the other."""
         wall = lg.Box([0.4, 0.55], [0.5, 0.12], np.arctan2(0.1, 0.8))
         walled = lg.Scene(SCENE.start, SCENE.goals, obstacles=[wall])
@@ -242,16 +243,14 @@ class TestPlan:
         level = archive.label_of(score(np.stack([through(0.4), through(-0.4)])))
         assert level[1] < level[0] - 0.5
         levels = np.array([level[0], level[1], level[1]])
-        sampler, _ = scripted([0.4, -0.4, 0.4], cost=lambda level: torch.zeros(len(level)))
+        sampler, _ = scripted([0.4, -0.4, 0.4], *[0.4] * 3)
         paths, replaced = sampler.plan(tasks(levels, walled), 0, PLAIN, exact=True, refine=True)
         assert walled.feasible(path_curve(paths, 200), 0).all()
         np.testing.assert_allclose(archive.label_of(score(paths)), levels, atol=0.03)
         assert replaced.tolist() == [False, False, True]
 
     @pytest.mark.parametrize("better", [True, False])
-    def test_an_exact_plan_keeps_what_was_drawn_where_the_archives_curve_is_no_nearer(
-        self, monkeypatch, better
-    ):
+    def test_keeps_what_was_drawn_where_the_archives_curve_is_no_nearer(self, monkeypatch, better):
         """Where neither can be moved."""
         archive = scene_archive(BARRED, 0, lg.Observer())
         drawn, elite = through(0.4), through(0.3 if better else 0.5)

@@ -26,7 +26,7 @@ RECORD = TrainingRecord(
     step_seconds=0.5, device="cpu", processes=1, precision="no", threads=2, torch="2.6",
 )  # fmt: skip
 TINY = {"channels": (8, 16), "condition": 16}
-IMAGE = {"encoder_width": 8, "resolution": 16, "curves": 16}
+IMAGE = {"encoder_width": 8, "resolution": 16}
 
 
 def network(stage, **changes):

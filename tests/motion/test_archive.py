@@ -351,7 +351,7 @@ class TestLabels:
     def test_nearest_takes_the_smoothest_of_equals(self):
         args = {"scene": PAPER, "target": 0, "observer": lg.Observer(label="rank")}
         size = {"anchor_score": 0.0, "num_candidates": 3, "cells_reached": 3}
-        curves = dict.fromkeys(["controls", "trajectories", "descriptors"], np.zeros((3, 1)))
+        curves = dict.fromkeys(["controls", "descriptors"], np.zeros((3, 1)))
         curves["anchor"] = curves["controls"][0]
         scores = {"scores": np.array([0.0, 0.0, 1.0]), "labels": np.array([-0.5, -0.5, 1.0])}
         found = Archive(**args, **size, **curves, **scores, energies=np.array([2.0, 1.0, 0.0]))
@@ -676,7 +676,7 @@ class TestObservers:
             scene_archive(lg.Scene(PAPER.start, PAPER.goals), 0, lg.Observer.paper(2)),
         )
         assert one is scene_archive(PAPER, 0, lg.Observer())
-        assert one.trajectories is other.trajectories
+        assert one.controls is other.controls
         np.testing.assert_array_equal(one.labels, build_archive(PAPER).labels)
 
     def test_range_says_how_much_a_side_spans(self):

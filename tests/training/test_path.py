@@ -12,8 +12,6 @@ from legibility.data.configuration import DatasetConfig
 from legibility.data.dataset import generate
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.intent.observer import Observer
-from legibility.models.dial import KNOTS, Dial
-from legibility.models.path_diffuser import Drawn
 from legibility.training.configuration import PathTrainingConfig
 from legibility.training.loop import Run
 from legibility.training.path import PathBatches, train_path, validate_dial
@@ -31,8 +29,8 @@ class TestRun:
     def test_log(self, whole):
         log = rows(whole[0])
         assert [row["step"] for row in log] == [4, 5, 8]
-        parts = {"loss", "velocity", "label", "contact", "jerk", "dial"}
-        metrics = {"validation_feasible", "validation_dial_error"}
+        parts = {"loss", "velocity", "label", "contact", "jerk"}
+        metrics = {"validation_feasible"}
         assert parts | metrics <= log[-1].keys()
         assert all(np.isfinite(value) for row in log for value in row.values())
 
@@ -184,10 +182,9 @@ class TestLoss:
             config = dataclasses.replace(SHORT, **{k: factor * w for k, w in weights.items()})
             batches = PathBatches(data, model, config, CPU)
             loss, parts = batches.loss(model, torch.Generator().manual_seed(0))
-            assert parts.keys() == {"velocity", "label", "contact", "jerk", "dial"}
+            assert parts.keys() == {"velocity", "label", "contact", "jerk"}
             more = 2 * parts["label"] + 3 * parts["contact"] + parts["jerk"] / 2
-            rest = parts["velocity"] + parts["dial"]
-            torch.testing.assert_close(loss.detach(), rest + factor * more)
+            torch.testing.assert_close(loss.detach(), parts["velocity"] + factor * more)
 
     def test_batch_in_which_all_conditions_are_dropped(self, data):
         model = tiny_diffuser(data)
@@ -220,7 +217,7 @@ class TestValidation:
     def test_of_a_model_that_always_draws_the_same(self, data, monkeypatch):
         model = tiny_diffuser(data).eval()
         straight = model.from_latent(torch.zeros(len(data.scenes), 8, 2))
-        monkeypatch.setattr(model, "sample", lambda *_, **__: Drawn(straight, None))
+        monkeypatch.setattr(model, "sample", lambda *_, **__: straight)
         batches = PathBatches(data, model, SHORT, CPU)
         figures = validate_dial(model, batches)
         assert all(np.isfinite(value) for value in figures.values())
@@ -237,7 +234,7 @@ class TestValidation:
 
         def best(conditions, level, noise, **options):
             nearest = (batches.labels - level[:, None]).abs().argmin(1)
-            return Drawn(batches.waypoints[torch.arange(len(level)), nearest], None)
+            return batches.waypoints[torch.arange(len(level)), nearest]
 
         monkeypatch.setattr(model, "sample", best)
         figures = validate_dial(model, batches)
@@ -246,31 +243,6 @@ class TestValidation:
         assert figures["validation_feasible"] > 0.9
         assert figures["validation_at_1"] > 0.5
         assert figures["validation_at_-1"] < -0.5
-
-    def test_the_dials_error_is_that_of_the_label(self, data, monkeypatch):
-        """It is that of the ℓ at which the data read the score that the dial gives for ℓ."""
-        model = tiny_diffuser(data).eval()
-        batches = PathBatches(data, model, SHORT, CPU)
-        scorer, levels = batches.scorer, torch.linspace(-1, 1, KNOTS)
-        rising = torch.nonzero((scorer.knots.diff(dim=1) > 1e-5).all(dim=1))[:, 0]
-        assert len(rising) > 1
-        true = -scorer.knots[:, :: (len(scorer.values) - 1) // (KNOTS - 1)]
-
-        def dials(asked):
-            """Those that answer as if `asked (KNOTS,)`."""
-            return torch.stack([Dial.at(true, level.expand(len(true))) for level in asked], dim=1)
-
-        for asked in (levels, levels.flip(0), 0 * levels):
-            errors = scorer.label_errors(rising, dials(asked)[rising])
-            torch.testing.assert_close(
-                errors, (asked - levels).expand_as(errors), atol=2e-3, rtol=0
-            )
-        losses = [scorer.dial_error(rising, dials(x)[rising]) for x in (levels, levels / 2)]
-        assert losses[0] < 1e-4 < losses[1]
-        monkeypatch.setattr(batches, "knots", lambda model, scenes: dials(0 * levels)[scenes])
-        every = scorer.label_errors(torch.arange(len(true)), dials(0 * levels))
-        found = validate_dial(model, batches)["validation_dial_error"]
-        assert found == pytest.approx(float(every.abs().mean()))
 
 
 def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):
@@ -286,13 +258,7 @@ def test_a_small_model_learns_the_dial_on_scenes_it_never_saw(tmp_path):
         steps=120, scenes=16, per_scene=8, warmup=20, learning_rate=4e-3, ema=0.95,
         score_weight=1.0, validate_every=120, checkpoint_every=120,
     )  # fmt: skip
-    shape = {
-        "channels": (16, 32),
-        "condition": 32,
-        "encoder_width": 8,
-        "resolution": 16,
-        "curves": 16,
-    }
+    shape = {"channels": (16, 32), "condition": 32, "encoder_width": 8, "resolution": 16}
     metrics = train_path(data, validation, Run(tmp_path / "run", CPU), how, **shape).metrics
     assert metrics["validation_spearman"] > 0.5
     assert metrics["validation_error"] < 0.45

@@ -25,7 +25,7 @@ STEPS = 40
 WORDS = (
     f"train path --steps {STEPS} --scenes 4 --per-scene 4 --warmup 2"
     " --validate-every 1000000 --checkpoint-every 1 --channels 8 16 --condition 16"
-    " --encoder-width 8 --resolution 16 --curves 16 --device cpu"
+    " --encoder-width 8 --resolution 16 --device cpu"
 )
 ENVIRONMENT = {
     **os.environ, "PYTHONPATH": str(Path(lg.__file__).parents[1]), "OMP_NUM_THREADS": "1"

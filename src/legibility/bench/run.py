@@ -25,10 +25,11 @@ def run_bench(
         `machine`; `skipped`: reasons why something was not measured; `measurements`: flat rows,
         each a `metric` with its `median`, 95 % interval `low` to `high`, number of `calls`, and
         conditions: `plan_ms` by `model`, `backend`, `batch` and `goals`; `plan_one_core_ms`,
-        `plan_obstacles_ms` (one core, also by `mode`, quick or exact), `control_step_ms` (one
-        core), `rollouts_per_second`, `load_ms`, `first_plan_ms` and `memory_mb` (peak) by `model`
-        and `backend`; `archive_ms`, `candidates_per_second`, `scenes_per_second` (one process) and
-        `training_steps_per_second` (also by `precision`) by `dim`; `import_ms`.
+        `plan_obstacles_ms` (one core, also by `mode`, quick or exact, and `scene`, new or known),
+        `control_step_ms` (one core), `rollouts_per_second`, `load_ms`, `first_plan_ms` and
+        `memory_mb` (peak) by `model` and `backend`; `archive_ms`, `candidates_per_second`,
+        `scenes_per_second` (one process) and `training_steps_per_second` (also by `precision`) by
+        `dim`; `import_ms`.
     """
     import torch
 

@@ -17,7 +17,7 @@ from ..intent.metrics import SCORE_POINTS, score_weights
 from ..intent.observer import DEFAULT_OBSERVER, Observer
 from ..scene import Scene
 from .archive import Archive, shortest_curve
-from .bezier import bending_energy, bezier_trajectories
+from .bezier import bending_energy, bezier_trajectories, crosses_itself
 from .curve_grid import free, reachable, with_ends
 from .library import curve_library
 
@@ -71,7 +71,7 @@ def _geometry(scene: Scene, target: int, detour: float) -> Archive:
         clear = free(scene, target, controls[first])
         if shortest > frame.scale:
             curves = bezier_trajectories(controls[first], _POINTS)
-            clear &= arc_length(curves) <= longest
+            clear &= (arc_length(curves) <= longest) & ~crosses_itself(controls[first])
         taken.append(first[clear])
         first, last = first[~clear] + 1, last[~clear]
         first, last = first[first < last], last[first < last]

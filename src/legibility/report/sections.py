@@ -18,10 +18,10 @@ NOTES = (
     "stays below 1 where samples share a level. The deviation is the mean distance from the curve "
     "followed, over the length of the first curve. Robots have hidden gains and lags; "
     "PandaGymBlockReach (panda-gym) is never used in training. The bench times control steps, "
-    "`plan_one_core_ms` and `plan_obstacles_ms` on one core, the last, if exact, in scenes whose "
-    "archive is there.",
+    "`plan_one_core_ms` and `plan_obstacles_ms` on one core, the last in new scenes or in known "
+    "ones, whose archive is there.",
     "Paths come in three modes: bare, as the network draws them; quick, the default, moved out of "
-    "contact and to the score that the dial predicts for ℓ; exact, to the score that the archive "
+    "contact and to the score that ready-made curves give ℓ; exact, to the score that the archive "
     "gives ℓ. The judge is always another archive than that. The tables of regimes and the first "
     "table of the README are of scenes in which each side of the dial spans 0.05 nats or more; in "
     "the others labels rank noise, and each section tells of them. Curves wave if they turn 0.5 "
