@@ -157,9 +157,7 @@ class TestPlan:
         wild[1, 4] = [0.4, 3.0]
         again = np.tile(wild[1], (8, 1, 1))
         monkeypatch.setattr(
-            model.sampler,
-            "draw",
-            lambda tasks, *_: ((wild if len(tasks) == 2 else again).copy(), None),
+            model.sampler, "draw", lambda tasks, *_: (wild if len(tasks) == 2 else again).copy()
         )
         path = model.plan(scene, 0, [0.0, 0.0])
         assert path.feasible.all()
@@ -190,7 +188,7 @@ class TestReproducible:
         assert np.abs(one - other).max() > 1e-3
 
     def test_paths_of_a_batch_differ(self, modulator, scene):
-        one, other = modulator.plan(scene, 0, [0.5, 0.5]).waypoints
+        one, other = modulator.plan(scene, 0, [0.5, 0.5], refine=False).waypoints
         assert np.abs(one - other).max() > 1e-3
 
     def test_state_of_torch_does_not_matter(self, modulator, scene):
@@ -268,12 +266,12 @@ class TestObstacles:
         ball = np.array([o.signed_distance(path.trajectory(400)) for o in scene.obstacles])
         assert ball.min() >= 0.04 - 1e-6
 
-    def test_exact_plans_meet_the_level(self, modulator):
+    def test_plans_meet_the_level(self, modulator):
         """Even if the network knows nothing, apart from the ends."""
         scene, levels = BLOCKED[modulator.config.dim], [-0.6, -0.3, 0.0, 0.3]
-        quick, exact = (modulator.plan(scene, 0, levels, exact=e).achieved for e in (False, True))
-        errors = [np.abs(labels - levels).mean() for labels in (quick, exact)]
-        assert errors[1] < min(0.1, errors[0] / 2)
+        for exact, most in ((False, 0.08), (True, 0.03)):
+            achieved = modulator.plan(scene, 0, levels, exact=exact).achieved
+            assert np.abs(achieved - levels).mean() < most
 
     def test_no_way_is_refused(self, flat):
         wall = lg.Box([0.5, 0.5], [0.1, 1.2])

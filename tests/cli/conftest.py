@@ -8,7 +8,7 @@ from legibility.cli import main
 
 TINY = (
     "--scenes 4 --per-scene 4 --dropout 0 --warmup 1 --validate-every 10 --checkpoint-every 10"
-    " --channels 8 16 --condition 16 --encoder-width 8 --resolution 16 --curves 16"
+    " --channels 8 16 --condition 16 --encoder-width 8 --resolution 16"
 )
 """Training of a model that learns nothing, in no time."""
 

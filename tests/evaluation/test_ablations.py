@@ -21,7 +21,7 @@ from legibility.models.pretrained import load_stages, save_stage
 from legibility.training.configuration import PathTrainingConfig
 from legibility.training.loop import LOG
 
-TINY = PathDiffuserConfig(channels=(8,), condition=16, encoder_width=8, resolution=16, curves=16)
+TINY = PathDiffuserConfig(channels=(8,), condition=16, encoder_width=8, resolution=16)
 SHORT = AblationsConfig(
     scenes=1, goals=(2, 2), levels=3, samples=1, sampling_steps=(1,), guidance=(1.0,),
     training_steps=2, training_scenes=2, scene_numbers=(2, 3),

@@ -30,7 +30,7 @@ DIAL_LEVELS = np.linspace(-1, 1, 17)
 _LEAST_COST = 1e-30
 
 
-def dial_of(scores: Array) -> Array:
+def dial_of(scores: Array) -> np.ndarray:
     """What stage 1 reads of the scores at `DIAL_LEVELS`, `(B, 17)`: log(−L_p) in float32."""
     return np.log(np.maximum(-scores, _LEAST_COST)).astype(np.float32)
 

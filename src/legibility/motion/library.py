@@ -113,7 +113,7 @@ def make_library(dim: int, detour: float) -> CurveLibrary:
             far = np.flatnonzero(gap > _APART)
             if not len(far):
                 break
-            i = rows[far[0]]
+            i = int(rows[far[0]])
             chosen.append(i)
             gap = np.minimum(gap, np.abs(points[rows] - points[i]).max((1, 2)))
     return CurveLibrary(detour, controls[keep[chosen]], cells[chosen])
