@@ -41,7 +41,7 @@ NOTES = (
 
 _ARROWS = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
-_BENCH_CONDITIONS = ("mode", "batch", "goals", "dim", "precision")
+_BENCH_CONDITIONS = ("mode", "scene", "batch", "goals", "dim", "precision")
 _VIOLATIONS = {
     "states_outside": "states outside the workspace",
     "actions_not_finite": "actions that were not finite",
