@@ -11,7 +11,7 @@ def test_every_measurement_is_a_row():
         "plan_ms", "m", "torch", "batch 1, goals 4", "2.00", "1.00 to 4.00"
     )  # fmt: skip
     assert table.rows[1][3:] == ("batch 1024, goals 4", "4,000", "2,000 to 8,000")
-    assert table.rows[5][3:5] == ("mode exact", "0.750")
+    assert table.rows[5][3:5] == ("mode exact, scene known", "0.750")
     assert table.rows[6] == ("archive_ms", "", "", "dim 2", "64.0", "32.0 to 128")
     assert table.rows[7][3] == "dim 2, precision bf16"
     assert table.rows[8] == ("import_ms", "", "", "", "100", "50.0 to 200")
