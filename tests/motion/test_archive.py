@@ -351,8 +351,7 @@ class TestLabels:
     def test_nearest_takes_the_smoothest_of_equals(self):
         args = {"scene": PAPER, "target": 0, "observer": lg.Observer(label="rank")}
         size = {"anchor_score": 0.0, "num_candidates": 3, "cells_reached": 3}
-        curves = dict.fromkeys(["controls", "descriptors"], np.zeros((3, 1)))
-        curves["anchor"] = curves["controls"][0]
+        curves = {"controls": np.zeros((3, 1)), "anchor": np.zeros(1)}
         scores = {"scores": np.array([0.0, 0.0, 1.0]), "labels": np.array([-0.5, -0.5, 1.0])}
         found = Archive(**args, **size, **curves, **scores, energies=np.array([2.0, 1.0, 0.0]))
         assert found.nearest(-0.5) == 1

@@ -154,8 +154,7 @@ def _scores_of(
     if not arm_can_pass(kind, source.scene(index), observer):
         return None
     archive = source.archive(index, observer)
-    nothing = np.empty(0)
-    return replace(archive, controls=nothing, descriptors=nothing)
+    return replace(archive, controls=np.empty(0))
 
 
 @threads(1)

@@ -27,12 +27,13 @@ TIME_FREQUENCIES = 16
 DIAL_LEVELS = np.linspace(-1, 1, 17)
 """Levels of ℓ at which stage 1 is told the scores that its scene's archive gives them."""
 
-_LEAST_COST = 1e-30
+LEAST_COST = 1e-30
+"""−L_p below which scores count as equal."""
 
 
 def dial_of(scores: Array) -> np.ndarray:
-    """What stage 1 reads of the scores at `DIAL_LEVELS`, `(B, 17)`: log(−L_p) in float32."""
-    return np.log(np.maximum(-scores, _LEAST_COST)).astype(np.float32)
+    """log(−L_p) in float32 of scores `(...)`; stage 1 reads those at `DIAL_LEVELS`."""
+    return np.log(np.maximum(-scores, LEAST_COST)).astype(np.float32)
 
 
 class PathDiffuser(nn.Module):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array, count, finite_array, positive, seed_or_entropy
-from ..curves import arc_length
+from ..curves import arc_length, farthest_from_segment
 from ..errors import InvalidInputError, InvalidSceneError
 from ..frame import Frame
 from ..intent.field import Field
@@ -59,7 +59,6 @@ class Archive:
         target: index of the intended goal.
         observer: whose scores and labels these are.
         controls: `(N, 4, D)` [m], control points of the cubic Béziers.
-        descriptors: `(N, D)` [m], the most deviating point of each.
         energies: `(N,)` [m²], bending energy, which a cell minimises.
         scores: `(N,)`, `legibility_score`, higher = more legible.
         labels: `(N,)` in [−1, 1].
@@ -74,7 +73,6 @@ class Archive:
     target: int
     observer: Observer
     controls: Array
-    descriptors: Array
     energies: Array
     scores: Array
     labels: Array
@@ -95,6 +93,12 @@ class Archive:
     def trajectories(self) -> Array:
         """`(N, T, D)` [m], the curves at equal arc length."""
         return bezier_trajectories(self.controls, SCORE_POINTS)
+
+    @functools.cached_property
+    def descriptors(self) -> Array:
+        """`(N, D)` [m], the most deviating point of each curve."""
+        goal = self.scene.target(self.target)
+        return farthest_from_segment(self.trajectories, self.scene.start, goal)
 
     @property
     def blocked(self) -> bool:
@@ -229,7 +233,6 @@ def build_archive(
         target=target,
         observer=observer,
         controls=controls,
-        descriptors=grid.descriptors[filled],
         energies=grid.energies[filled],
         scores=scores,
         labels=observer.labels(scores, anchor_score),

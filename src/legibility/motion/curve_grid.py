@@ -50,7 +50,6 @@ class CurveGrid:
         size = int(np.prod(self.cells))
         self.energies = np.full(size, np.inf)
         self.controls = np.zeros((size, 4, scene.dim))
-        self.descriptors = np.zeros((size, scene.dim))
         self.reached = np.zeros(size, dtype=bool)
 
     @property
@@ -77,15 +76,13 @@ class CurveGrid:
         keep = np.flatnonzero(energies < self.energies[cells])
         keep = keep[~crosses_itself(controls[keep])]
         keep = keep[free(self.scene, self.target, controls[keep])]
-        controls, descriptors = controls[keep], descriptors[keep]
-        cells, energies = cells[keep], energies[keep]
+        controls, cells, energies = controls[keep], cells[keep], energies[keep]
         # The smoothest of each cell in this batch takes the cell.
         order = np.lexsort((energies, cells))
         cells, first = np.unique(cells[order], return_index=True)
         best = order[first]
         new = int(np.isinf(self.energies[cells]).sum())
         self.energies[cells], self.controls[cells] = energies[best], controls[best]
-        self.descriptors[cells] = descriptors[best]
         return new
 
 

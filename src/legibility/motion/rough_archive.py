@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..curves import arc_length, farthest_from_segment
+from ..curves import arc_length
 from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS, score_weights
 from ..intent.observer import DEFAULT_OBSERVER, Observer
@@ -28,7 +28,7 @@ _LEAST_COST = 1e-300
 @functools.lru_cache(maxsize=1024)
 @np.errstate(under="ignore")
 def rough_archive(scene: Scene, target: int, observer: Observer) -> Archive:
-    """The archive of a scene by the curves of its library, in a tenth of the time; cached.
+    """The archive of a scene by the curves of its library, without a search; cached.
 
     Raises:
         InvalidSceneError: no curve leads to the target.
@@ -65,7 +65,7 @@ def _geometry(scene: Scene, target: int, detour: float) -> Archive:
     controls[:, [0, -1]] = anchor[[0, -1]]
     first = np.flatnonzero(np.diff(library.cells, prepend=-1))
     last = np.append(first[1:], len(library))
-    taken, tried = [np.empty(0, dtype=np.intp)], 0
+    taken, tried, cells = [np.empty(0, dtype=np.intp)], 1, len(first)
     while len(first):
         tried += len(first)
         clear = free(scene, target, controls[first])
@@ -76,19 +76,17 @@ def _geometry(scene: Scene, target: int, detour: float) -> Archive:
         first, last = first[~clear] + 1, last[~clear]
         first, last = first[first < last], last[first < last]
     controls = np.concatenate([controls[np.sort(np.concatenate(taken))], anchor[None]])
-    points = bezier_trajectories(controls, _POINTS)
     nothing = np.zeros(len(controls))
     return Archive(
         scene=scene,
         target=target,
         observer=DEFAULT_OBSERVER,
         controls=controls,
-        descriptors=farthest_from_segment(points, scene.start, scene.target(target)),
         energies=bending_energy(controls),
         scores=nothing,
         labels=nothing,
         anchor=anchor,
         anchor_score=0.0,
         num_candidates=tried,
-        cells_reached=int(library.cells[-1]) + 1,
+        cells_reached=cells + 1,  # and that of ℓ = 0
     )

@@ -9,9 +9,9 @@ from ..curves import NUM_WAYPOINTS, spline_matrix
 from ..data.dataset import LABEL_KNOTS, Dataset
 from ..intent.metrics import SCORE_POINTS
 from ..models.conditions import Conditions
+from ..models.path_diffuser import LEAST_COST, dial_of
 from ..motion.archive import SMALLEST_RANGE
 
-_LEAST_COST = 1e-30
 _SMOOTH = 0.01  # added to a jerk, so that differences far below it do not count
 _PAD = 0.01  # distance to keep from solids and walls, in lengths of the straight line
 
@@ -25,8 +25,7 @@ class FrameScorer:
 
         # Labels are read in log(−L_p): the legible side of a clear scene may lie within a millionth
         # of the range of its scores.
-        knots = -np.log(np.maximum(-data.score_at_label, _LEAST_COST))
-        self.knots = tensor(np.maximum.accumulate(knots, axis=1))
+        self.knots = tensor(np.maximum.accumulate(-dial_of(data.score_at_label), axis=1))
         self.values = tensor(LABEL_KNOTS)
         # Labels rank little where a side of the dial spans little.
         ends = np.abs(data.score_at_label[:, [0, -1]] - data.summary["anchor_score"][:, None])
@@ -63,31 +62,23 @@ class FrameScorer:
 
         It is extrapolated beyond ±1 so that its gradient never vanishes.
         """
-        score = -torch.log((-self.score(conditions, points)).clamp_min(_LEAST_COST))
-        return self._read(scenes, score[:, None])[:, 0]
-
-    def _read(self, scenes: Tensor, score: Tensor) -> Tensor:
-        """Labels `(B, N)` of −log(−L_p) `(B, N)`, not ended at ±1."""
+        score = -torch.log((-self.score(conditions, points)).clamp_min(LEAST_COST))
         knots = self.knots[scenes]
-        right = torch.searchsorted(knots, score.detach()).clamp(1, len(self.values) - 1)
-        low, high = knots.gather(1, right - 1), knots.gather(1, right)
-        span = (high - low).clamp_min(1e-5 * (knots[:, -1:] - knots[:, :1]))
+        right = torch.searchsorted(knots, score.detach()[:, None]).clamp(1, len(self.values) - 1)
+        low, high = knots.gather(1, right - 1)[:, 0], knots.gather(1, right)[:, 0]
+        span = (high - low).clamp_min(1e-5 * (knots[:, -1] - knots[:, 0]))
         step = self.values[1] - self.values[0]
-        return self.values[right - 1] + (score - low) / span * step
+        return self.values[right[:, 0] - 1] + (score - low) / span * step
 
     def error(
         self, conditions: Conditions, scenes: Tensor, points: Tensor, level: Tensor
     ) -> Tensor:
         """`(B,)`: loss on the label of curves `(B, T, D)` against `level (B,)`."""
         achieved = self.label(conditions, scenes, points)
-        return self._weighed(scenes, achieved[:, None], level[:, None])[:, 0]
-
-    def _weighed(self, scenes: Tensor, achieved: Tensor, level: Tensor) -> Tensor:
-        """`(B, N)`: loss of labels `achieved (B, N)` against `level (B, N)` in `scenes (B,)`."""
         # Labels end at ±1, scores go beyond: at the ends only a path that falls short is wrong.
         beyond = (level.abs() == 1) & (achieved * level > 1)
         achieved = torch.where(beyond, level, achieved)
-        trust = self.trust[scenes].gather(1, (level > 0).long())
+        trust = self.trust[scenes, (level > 0).long()]
         return trust * F.smooth_l1_loss(achieved, level, beta=0.1, reduction="none")
 
     @staticmethod
