@@ -1,11 +1,11 @@
-"""Paths are drawn from the seed alone, and again on the wrong side or in contact."""
+"""Paths are drawn from the seed alone, and brought to their levels out of contact."""
 
 import numpy as np
 import pytest
 import torch
 
 import legibility as lg
-from legibility.curves import NUM_WAYPOINTS, path_curve
+from legibility.curves import NUM_WAYPOINTS, path_curve, turning
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.frame import Frame
 from legibility.models import path_sampler
@@ -109,77 +109,7 @@ class TestDraw:
         assert script.dials == [None]
 
 
-class TestRetries:
-    @pytest.fixture(autouse=True)
-    def sides(self):
-        """In this scene a bulge to the left is legible, one to the right ambiguous."""
-        straight, left, right = map(score, map(through, (0.0, 0.4, -0.4)))
-        assert right < straight < left
-
-    def test_the_right_side_is_kept(self):
-        sampler, script = scripted(0.4)
-        sampler.draw_with_retries(tasks(0.7), 0, PLAIN)
-        assert script.levels == [pytest.approx([0.7])]
-
-    def test_the_wrong_side_is_drawn_again_for_a_little_less(self):
-        sampler, script = scripted(-0.4, -0.4, 0.4)
-        paths = sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
-        assert np.diff(np.concatenate(script.levels)).max() < 0
-        assert min(script.levels)[0] > 0.9
-        assert score(paths[0]) > score(np.linspace(SCENE.start, SCENE.goals[0], 10))
-
-    def test_only_those_on_the_wrong_side(self):
-        sampler, script = scripted([0.4, 0.4, -0.4], [-0.4])
-        levels = np.array([1.0, -0.5, -1.0])
-        paths = sampler.draw_with_retries(tasks(levels), 0, PLAIN)
-        assert [len(level) for level in script.levels] == [3, 1]
-        assert script.levels[1][0] == pytest.approx(-0.5 * 0.97)
-        straight = score(np.linspace(SCENE.start, SCENE.goals[0], 10))
-        assert ((score(paths) - straight) * levels > 0).all()
-
-    def test_it_gives_up(self):
-        sampler, script = scripted(*[-0.4] * 4)
-        sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
-        assert len(script.levels) == 4
-
-    @pytest.mark.parametrize(
-        "changes", [{"observer": lg.Observer(label="rank")}, {"field": False}], ids=str
-    )
-    def test_none_without_a_border_to_compare_with(self, changes):
-        sampler, script = scripted(-0.4, **changes)
-        sampler.draw_with_retries(tasks(1.0), 0, PLAIN)
-        assert len(script.levels) == 1
-
-    def test_the_shortest_curve_is_the_border_where_the_straight_line_is_blocked(self):
-        border = rough_archive(BARRED, 0, lg.Observer()).anchor_score
-        assert score(through(-0.4)) < border < score(through(0.4))
-        for level, draws in ((1.0, 2), (-1.0, 1)):
-            sampler, script = scripted(-0.4, 0.4)
-            sampler.draw_with_retries(tasks(level, BARRED), 0, PLAIN)
-            assert len(script.levels) == draws
-
-    def test_each_row_is_judged_in_its_own_scene(self):
-        """What leads away from the other goal for one target leads toward it for the other."""
-        sampler, script = scripted([0.4, 0.4], -0.4)
-        each = Tasks([SCENE] * 2, [0, 1], [lg.Observer()] * 2, np.array([1.0, 1.0]))
-        paths = sampler.draw_with_retries(each, 0, PLAIN)
-        assert [len(level) for level in script.levels] == [2, 1]
-        np.testing.assert_allclose(paths[0], through(0.4), atol=1e-6)
-
-
-class TestContact:
-    def test_what_touches_is_drawn_again_and_the_first_clear_one_taken(self):
-        sampler, script = scripted([0.4, 0.0], [0.0, 0.02, 0.04, 0.3, 0.0, 0.4, 0.0, 0.0])
-        paths = sampler.draw_with_retries(tasks([0.5, 0.0], BARRED), 0, PLAIN)
-        assert [len(level) for level in script.levels] == [2, 8]
-        np.testing.assert_array_equal(script.levels[1], 0)
-        np.testing.assert_allclose(paths, [through(0.4), through(0.3)], atol=1e-6)
-
-    def test_or_the_one_that_touches_least(self):
-        sampler, _ = scripted(0.0, [0.0, 0.02, 0.04, 0.01, 0.05, 0.0, 0.0, 0.0])
-        paths = sampler.draw_with_retries(tasks(0.5, BARRED), 0, PLAIN)
-        np.testing.assert_allclose(paths[0], through(0.05), atol=1e-6)
-
+class TestTasks:
     def test_margin(self):
         """0 where a path keeps clear, else how deep its worst point lies."""
         paths = np.stack([through(0.4), through(0.0)])
@@ -190,7 +120,7 @@ class TestContact:
 
 class TestPlan:
     def test_moves_a_path_out_of_contact(self):
-        sampler, _ = scripted(0.05, 0.05)
+        sampler, _ = scripted(0.05)
         paths, replaced = sampler.plan(tasks(0.5, BARRED), 0, PLAIN, exact=False, refine=True)
         assert BARRED.feasible(path_curve(paths, 200), 0).all()
         assert not replaced.any()
@@ -243,7 +173,7 @@ class TestPlan:
         level = archive.label_of(score(np.stack([through(0.4), through(-0.4)])))
         assert level[1] < level[0] - 0.5
         levels = np.array([level[0], level[1], level[1]])
-        sampler, _ = scripted([0.4, -0.4, 0.4], *[0.4] * 3)
+        sampler, _ = scripted([0.4, -0.4, 0.4])
         paths, replaced = sampler.plan(tasks(levels, walled), 0, PLAIN, exact=True, refine=True)
         assert walled.feasible(path_curve(paths, 200), 0).all()
         np.testing.assert_allclose(archive.label_of(score(paths)), levels, atol=0.03)
@@ -258,11 +188,26 @@ class TestPlan:
         level = label[1] + 0.1 * (label[1] - label[0]) if better else 2 * label[0] - label[1]
         monkeypatch.setattr(path_sampler, "project", lambda p, *_: (p, np.ones(len(p), bool)))
         monkeypatch.setattr(path_sampler, "smoothed", lambda paths: paths)
-        monkeypatch.setattr(path_sampler, "nearest_path", lambda *_: elite)
+        monkeypatch.setattr(
+            path_sampler, "bezier_trajectories", lambda c, _: np.tile(elite, (len(c), 1, 1))
+        )
         sampler, _ = scripted(0.4)
         paths, replaced = sampler.plan(tasks(level, BARRED), 0, PLAIN, exact=True, refine=True)
         assert replaced.tolist() == [better]
         np.testing.assert_allclose(paths[0], elite if better else drawn, atol=1e-6)
+
+    @pytest.mark.parametrize("wave", [0.0, 0.02])
+    def test_a_curve_of_the_archive_stands_in_for_a_wavy_path(self, monkeypatch, wave):
+        drawn = through(0.4)
+        drawn[1:-1, 1] += wave * (-1) ** np.arange(NUM_WAYPOINTS)
+        level = scene_archive(BARRED, 0, lg.Observer()).label_of(score(drawn[None]))
+        monkeypatch.setattr(path_sampler, "project", lambda p, *_: (p, np.ones(len(p), bool)))
+        monkeypatch.setattr(path_sampler, "smoothed", lambda _: drawn[None].copy())
+        sampler, _ = scripted(0.4)
+        paths, replaced = sampler.plan(tasks(level, BARRED), 0, PLAIN, exact=True, refine=True)
+        assert replaced.tolist() == [wave > 0]
+        turned = turning(path_curve(np.stack([drawn, paths[0]]), 200))
+        assert (turned[1] < turned[0] - 0.5) == (wave > 0)
 
     def test_unrefined_is_what_was_drawn(self):
         sampler, _ = scripted(0.05)
@@ -276,7 +221,7 @@ class TestPlan:
         monkeypatch.setattr(
             path_sampler, "project", lambda paths, *_: (paths, np.zeros(len(paths), bool))
         )
-        sampler, _ = scripted([0.4, 0.05], 0.05)
+        sampler, _ = scripted([0.4, 0.05])
         paths, replaced = sampler.plan(
             tasks([0.5, 0.9], BARRED), 0, PLAIN, exact=False, refine=True
         )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from segments import distance_to_segment
 
 import legibility as lg
-from legibility.curves import arc_length, farthest_from_segment
+from legibility.curves import arc_length, farthest_from_segment, turning
 from legibility.errors import InvalidInputError, InvalidSceneError
 from legibility.intent.metrics import DEFAULT_ALPHA, SCORE_POINTS
 from legibility.motion.archive import (
@@ -358,6 +358,15 @@ class TestLabels:
         assert found.nearest(-1) == 1
         assert found.nearest(0.25) == 2  # all are as far: the smoothest of all
         assert found.nearest(0.2) == 1
+
+    @given(level=levels)
+    def test_near_are_the_smoothest_first(self, archive, level):
+        near = archive.near(level)
+        gaps = np.abs(archive.labels - level)
+        assert set(np.flatnonzero(gaps <= 0.05)) | {archive.nearest(level)} == set(near)
+        assert (np.diff(archive.energies[near]) >= 0).all()
+        turned = turning(bezier_trajectories(archive.controls[near], 400))
+        np.testing.assert_allclose(archive.turning_near(level), turned, atol=0.2)
 
     def test_rank_and_anchored_order_the_same_curves_alike(self):
         one, other = (

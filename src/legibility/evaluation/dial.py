@@ -13,7 +13,6 @@ from ..data.configuration import SceneStream
 from ..envs import vector_type
 from ..modulator import Modulator
 from ..motion.archive import Archive, scene_archive
-from ..motion.bezier import bezier_trajectories
 from ..parallel import pool, threads
 from ..seeds import plan_seeds
 from .common import (
@@ -71,7 +70,7 @@ _OPTIONS: dict[str, dict[str, bool]] = dict(
 )
 _POINTS = 400  # at which curves are measured
 _THREE = level_steps(3)
-_NEAR, _WAVE = 0.05, 0.5
+_WAVE = 0.5
 _ROUNDING = 1e-12
 _LEAST_GAIN = 0.01  # of the archive's range
 
@@ -213,7 +212,7 @@ class _Judge(NamedTuple):
     def of(cls, archive: Archive, levels: Array, samples: int) -> "_Judge":
         """The judge by an archive of `samples` curves at each of `levels`."""
         planned = np.unique(np.concatenate([levels, DRAGAN_LEVELS, _THREE]))
-        angles = _turning_near(archive, -1), _turning_near(archive, 1)
+        angles = archive.turning_near(-1), archive.turning_near(1)
         turned = float(angles[0].mean()), float(angles[1].mean())
         waves = np.mean([(a > mean + _WAVE).mean() for a, mean in zip(angles, turned, strict=True)])
         lengths = arc_length(archive.trajectories)
@@ -284,10 +283,3 @@ class _Judge(NamedTuple):
         best = np.where(shorter, self.archive.scores, anchor).max(1, initial=anchor)
         gain, most = (scores[feasible] - anchor).mean(), (best - anchor).mean()
         return float(gain / most) if most > _LEAST_GAIN * self.archive.range[1] else None
-
-
-def _turning_near(archive: Archive, level: float) -> Array:
-    """Angle [rad] that each of the archive's curves near a level turns through."""
-    near = np.abs(archive.labels - level) <= _NEAR
-    near[archive.nearest(level)] = True
-    return turning(bezier_trajectories(archive.controls[near], _POINTS))

@@ -1,4 +1,4 @@
-"""Paths drawn by stage 1 in scenes: in metres, on the right side of the straight line, feasible."""
+"""Paths drawn by stage 1 in scenes: in metres, feasible, at the ℓ asked for."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..checks import Array, bounded
-from ..curves import NUM_WAYPOINTS, path_curve
+from ..curves import NUM_WAYPOINTS, path_curve, turning
 from ..errors import CheckpointError, InvalidInputError
 from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS
@@ -26,12 +26,8 @@ from .diffusion import standard_normal
 from .path_diffuser import DIAL_LEVELS, PathDiffuser, dial_of
 from .projection import project, smoothed
 
-_RETRIES = 3
-_STEP_BACK = 0.03
-_TOLERANCE = 0.05
-_LEAST_COST = 1e-12
-_DRAWS = 8
-_MISSED = 0.02  # error of ℓ above which the archive's nearest curve is tried
+_MISSED, _WAVES = 0.02, 0.4  # error of ℓ and angle [rad] over the archive's that are faults
+_ELITES = 3  # the smoothest near a level that are tried then, besides the nearest
 
 
 class Sampling(NamedTuple):
@@ -127,22 +123,21 @@ class PathSampler:
     ) -> tuple[Array, np.ndarray]:
         """A path for each task, out of contact and with the score that its ℓ asks for.
 
-        That is the score by the scene's archive, a rough one unless `exact`, whose nearest curve is
-        brought there as well where the path drawn misses it. Of several `candidates` for a level,
-        which follow each other, the others keep the score that they drew. So do all paths of a
-        model without the field.
+        That is the score by the scene's archive, a rough one unless `exact`. Where the path drawn
+        misses it or is wavy, some of the archive's curves are brought there as well. Of several
+        `candidates` for a level, which follow each other, the others keep the score that they drew.
+        So do all paths of a model without the field.
 
         Returns:
-            `(B, K + 2, D)` [m], and whether the archive's nearest curve stands in for the path
-            drawn, `(B,)` bool.
+            `(B, K + 2, D)` [m], and whether a curve of the archive stands in for the path drawn,
+            `(B,)` bool.
         """
-        replaced = np.zeros(len(tasks), dtype=bool)
+        if exact and not refine:
+            raise InvalidInputError("exact plans are refined: leave refine as it is")
+        paths, replaced = self.draw(tasks, seed, sampling), np.zeros(len(tasks), dtype=bool)
         if not refine:
-            if exact:
-                raise InvalidInputError("exact plans are refined: leave refine as it is")
-            return self.draw(tasks, seed, sampling), replaced
+            return paths, replaced
         archive_of = scene_archive if exact else rough_archive
-        paths = self.draw_with_retries(tasks, seed, sampling)
         meeting = np.arange(len(tasks)) % candidates == 0
         for row, scene, target, observer in tasks.rows():
             drawn, first = smoothed(paths[row]), meeting[row] & self.config.field
@@ -155,12 +150,13 @@ class PathSampler:
                 own = observer.score(path_curve(paths[row][~first], SCORE_POINTS), scene, target)
                 drawn[~first] = project(drawn[~first], scene, target, observer, own)[0]
             paths[row] = drawn
-        touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
-        replaced[touching] = True
-        for i in touching:
-            one = tasks.of(np.array([i]))
-            archive = scene_archive(one.scenes[0], one.targets[0], one.observers[0])
-            paths[i] = nearest_path(archive, float(one.levels[0]))
+        for fallback in (archive_of, scene_archive):
+            touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
+            replaced[touching] = True
+            for i in touching:
+                one = tasks.of(np.array([i]))
+                archive = fallback(one.scenes[0], one.targets[0], one.observers[0])
+                paths[i] = nearest_path(archive, float(one.levels[0]))
         return paths, replaced
 
     @torch.inference_mode()
@@ -185,66 +181,36 @@ class PathSampler:
             paths[row, 0], paths[row, -1] = scene.start, scene.goals[target]
         return paths
 
-    def draw_with_retries(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
-        """`draw`, and draw again what lies on the wrong side of ℓ = 0 or in contact.
-
-        Where the best way round changes with ℓ, a draw may fall between two ways. The score at
-        ℓ = 0 reveals it: a legible path must not cost more, an ambiguous one not less. Each retry
-        asks for a little less. A model without the field gets no help from it here either. Of a
-        path in contact, several more are drawn, and the one that comes nearest to keeping clear is
-        taken.
-        """
-        paths = self.draw(tasks, seed, sampling)
-        if self.config.observer.label == "anchored" and self.config.field:
-            for retry in range(1, _RETRIES + 1):
-                wrong = _on_wrong_side(tasks, paths)
-                if not len(wrong):
-                    break
-                again = tasks.of(wrong)
-                again = Tasks(*again[:3], again.levels * (1 - _STEP_BACK) ** retry)
-                paths[wrong] = self.draw(again, seed ^ retry, sampling)
-        margin = tasks.margin(paths)
-        touching = np.flatnonzero(margin < 0)
-        if len(touching):
-            again = tasks.of(np.repeat(touching, _DRAWS))
-            drawn = self.draw(again, seed ^ (_RETRIES + 1), sampling)
-            drawn = np.concatenate(
-                [paths[touching, None], drawn.reshape(-1, _DRAWS, *paths.shape[1:])], 1
-            )
-            gaps = again.margin(drawn[:, 1:].reshape(-1, *paths.shape[1:])).reshape(-1, _DRAWS)
-            best = np.argmax(np.column_stack([margin[touching], gaps]), axis=1)
-            paths[touching] = drawn[np.arange(len(touching)), best]
-        return paths
-
-
-def _on_wrong_side(tasks: Tasks, paths: Array) -> NDArray[np.intp]:
-    """Indices of the paths that are clearly on the other side of ℓ = 0 than their ℓ."""
-    ratio = np.ones(len(tasks))
-    for row, scene, target, observer in tasks.rows():
-        scores = observer.score(path_curve(paths[row], SCORE_POINTS), scene, target)
-        anchor = rough_archive(scene, target, observer).anchor_score
-        ratio[row] = (_LEAST_COST - scores) / (_LEAST_COST - anchor)
-    return np.flatnonzero(np.log(ratio) * np.sign(tasks.levels) > _TOLERANCE)
-
 
 def _met(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[np.bool]]:
-    """Paths `(B, K + 2, D)` brought to `levels (B,)`, and whether an elite stands in, `(B,)`."""
+    """Paths `(B, K + 2, D)` brought to `levels (B,)`, and whether an elite stands in, `(B,)`.
+
+    It does so where the path drawn misses its level or is wavy, and an elite near the level is
+    less so.
+    """
     scene, target, observer = archive.scene, archive.target, archive.observer
-    wanted, shortest = archive.score_of(levels), archive.shortest_length
 
-    def brought(paths: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
-        paths, free = project(paths, scene, target, observer, wanted[rows], shortest)
-        scores = observer.score(path_curve(paths, SCORE_POINTS), scene, target)
-        return paths, np.where(free, np.abs(archive.label_of(scores) - levels[rows]), np.inf)
+    def brought(paths: Array, levels: Array, turned: Array) -> tuple[Array, Array]:
+        wanted, shortest = archive.score_of(levels), archive.shortest_length
+        paths, free = project(paths, scene, target, observer, wanted, shortest)
+        curves = path_curve(paths, SCORE_POINTS)
+        missed = archive.label_of(observer.score(curves, scene, target)) - levels
+        waves = turning(curves) - turned
+        return paths, np.where(free, np.maximum(np.abs(missed) / _MISSED, waves / _WAVES), np.inf)
 
-    paths, error = brought(paths, np.arange(len(paths)))
+    asked, which = np.unique(levels, return_inverse=True)
+    turned = np.array([archive.turning_near(level).mean() for level in asked])
+    paths, fault = brought(paths, levels, turned[which])
     replaced = np.zeros(len(paths), dtype=bool)
-    rows = np.flatnonzero(error > _MISSED)
-    if len(rows):
-        elites = np.stack([nearest_path(archive, float(level)) for level in levels[rows]])
-        elites, their_error = brought(elites, rows)
-        better = their_error < error[rows]
-        paths[rows[better]], replaced[rows[better]] = elites[better], True
+    for i in np.unique(which[fault > 1]):
+        elites = np.append(
+            archive.near(float(asked[i]))[:_ELITES], archive.nearest(float(asked[i]))
+        )
+        drawn = bezier_trajectories(archive.controls[elites], NUM_WAYPOINTS + 2)
+        drawn, faults = brought(drawn, np.full(len(elites), asked[i]), turned[i])
+        best = np.argmin(faults)
+        rows = np.flatnonzero((which == i) & (fault > np.maximum(1, faults[best])))
+        paths[rows], replaced[rows] = drawn[best], True
     return paths, replaced
 
 

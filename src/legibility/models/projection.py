@@ -14,7 +14,6 @@ import numpy as np
 
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS, spline_matrix
-from ..frame import axes_along
 from ..intent.observer import Observer
 from ..scene import Scene
 from .room import CURVE_POINTS, PAD, SLACK, Room
@@ -27,10 +26,8 @@ _GROWTH = 1.7  # of the weight of contact from step to step
 _STEPS = 10
 _LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
 _TOLERANCE = 1e-3  # of log(−score)
-_RETRY = 0.1, 0.03  # errors of log(−score) above which other ways are tried, if exact less
 _LEAST_COST = 1e-12
 _TOUCHING = 1e6  # merit of a path in contact
-_SWEEP = np.linspace(0, 0.8, 14)  # how far sideways a free place is looked for
 _TINY = 1e-30
 _SMOOTHING = 0.3  # λ of `smoothed`
 
@@ -90,18 +87,6 @@ def project(
         more, merits = _descend(task, task.drawn[rows], rows, weights=_SUPPLE)
         better = merits < merit[rows]
         best[rows[better]], merit[rows[better]] = more[better], merits[better]
-    rows = np.flatnonzero(merit > _RETRY[wanted is not None])
-    rows = rows[task.touching[rows]]
-    if len(rows):
-        ways = _ways_around(room, task.drawn[rows])
-        ways_of = np.tile(rows, len(ways))
-        more, merits = _descend(task, ways.reshape(-1, *paths.shape[1:]), ways_of, weights=_SUPPLE)
-        merits = merits.reshape(len(ways), -1)
-        chosen, each = np.argmin(merits, axis=0), np.arange(len(rows))
-        better = merits[chosen, each] < merit[rows]
-        into = rows[better]
-        best[into] = more.reshape(ways.shape)[chosen, each][better]
-        merit[into] = merits[chosen, each][better]
     rows = np.flatnonzero(merit >= _TOUCHING)
     if len(rows):
         more, merits = _descend(task, best[rows], rows, weights=(0.0, _SUPPLE[1]))
@@ -141,7 +126,6 @@ class _Task:
     Attributes:
         drawn: `(B, K + 2, D)`, as they are.
         cost: `(B,)`, log(−score) wanted.
-        touching: `(B,)` bool, whether they are in contact.
         longest: `(B,)`, log of the length allowed.
         pull: `(B, K, D)`, what draws the waypoints to the shape drawn.
         first: their curves.
@@ -171,8 +155,6 @@ class _Task:
         self.first = first._replace(
             error=first.error - self.cost, excess=first.excess - self.longest
         )
-        clear = np.minimum(first.gap + room.pad, room.to_walls(first.points))
-        self.touching = clear.min(-1) < 0
 
     def curves(self, paths: Array, rows: np.ndarray) -> _Curves:
         """The curves of `paths (B, K + 2, D)`, of which each is of one of the `rows (B,)`."""
@@ -332,43 +314,6 @@ def _descend(
             curves = _Curves(*(x[going] for x in curves))
         paths = task.step(paths, rows, curves, _CONTACT * _GROWTH ** max(0, i - 2), weights)
     return best, merit
-
-
-def _ways_around(room: Room, paths: Array) -> Array:
-    """`(W, B, K + 2, D)`: `paths (B, K + 2, D)` pushed sideways out of contact in several ways.
-
-    First each stretch in contact by its shortest way out, then all of them to one side and the
-    other.
-    """
-    dim = paths.shape[-1]
-    size, matrices = NUM_WAYPOINTS * dim, _matrices(dim, _SUPPLE[1])
-    points = matrices.curve @ paths
-    lateral = axes_along(np.gradient(points, axis=1))[:, :, 1:]
-    sides = np.concatenate([lateral, -lateral], axis=2)  # (B, T, S, D)
-    spots = points[:, :, None, None] + _SWEEP[:, None] * sides[:, :, :, None]
-    clear = room.clearance(spots) - room.pad[:, None, None]  # (B, T, S, offsets)
-    touching = clear[:, :, 0, 0] < 0
-    free = clear >= 0
-    last = len(_SWEEP) - 1
-    first = np.where(free.any(-1), np.argmax(free, axis=-1), last)
-    out = _SWEEP[first] * touching[..., None]
-    # What a way costs to a whole stretch.
-    begins = touching & ~np.pad(touching, ((0, 0), (1, 0)))[:, :-1]
-    stretch = np.cumsum(begins, axis=1) + np.arange(len(paths))[:, None] * CURVE_POINTS
-    cost = np.zeros((len(paths) * CURVE_POINTS + 1, sides.shape[2]))
-    np.add.at(cost, stretch, out**2 + (first == last) * touching[..., None])
-    shortest = np.argmin(cost, axis=1)[stretch]
-    ways = []
-    for way in (shortest, *range(sides.shape[2])):
-        way = np.broadcast_to(way, stretch.shape)[..., None]
-        normal = np.take_along_axis(sides, way[..., None], 2)[:, :, 0] * touching[..., None]
-        rows = np.einsum("tk,btd->btkd", matrices.spline, normal).reshape(-1, CURVE_POINTS, size)
-        system = matrices.stiffness + _CONTACT * rows.swapaxes(1, 2) @ rows
-        right = _CONTACT * (rows.swapaxes(1, 2) @ np.take_along_axis(out, way, 2))
-        moved = paths.copy()
-        moved[:, 1:-1] += np.linalg.solve(system, right).reshape(-1, NUM_WAYPOINTS, dim)
-        ways.append(moved)
-    return np.stack(ways)
 
 
 class _Matrices(NamedTuple):

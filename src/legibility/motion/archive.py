@@ -14,10 +14,10 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, count, finite_array, positive, seed_or_entropy
-from ..curves import arc_length, farthest_from_segment
+from ..curves import arc_length, farthest_from_segment, turning
 from ..errors import InvalidInputError, InvalidSceneError
 from ..frame import Frame
 from ..intent.field import Field
@@ -25,7 +25,7 @@ from ..intent.labels import label_knots
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import DEFAULT_OBSERVER, Observer
 from ..scene import Scene
-from .bezier import bezier_trajectories, crosses_itself, straight_controls
+from .bezier import bezier_points, bezier_trajectories, crosses_itself, straight_controls
 from .curve_grid import (
     LARGEST_REACH,
     REACH,
@@ -45,6 +45,8 @@ _SPREAD = 0.2  # of the first of these, in lengths of the straight line
 
 DEFAULT_CELLS = {2: 28, 3: 11}
 """Cells along the straight line, by dimension."""
+
+_NEAR = 0.05  # greatest distance of labels that count as near to a level
 
 SMALLEST_RANGE = 0.05
 """Nats between the two ends of a side of the dial below which its labels rank little."""
@@ -168,6 +170,16 @@ class Archive:
         gaps = np.abs(self.labels - level)
         ties = np.flatnonzero(gaps <= gaps.min() + 1e-12)
         return int(ties[np.argmin(self.energies[ties])])
+
+    def near(self, level: float) -> NDArray[np.intp]:
+        """Indices of the trajectories with labels near a level, or the nearest; smoothest first."""
+        gaps = np.abs(self.labels - level)
+        near = np.flatnonzero(gaps <= max(_NEAR, gaps.min()))
+        return near[np.argsort(self.energies[near], kind="stable")]
+
+    def turning_near(self, level: float) -> Array:
+        """Angle [rad] that each of the trajectories near a level turns through."""
+        return turning(bezier_points(self.controls[self.near(level)], SCORE_POINTS))
 
 
 @np.errstate(under="ignore")

@@ -26,7 +26,9 @@ from ..scene import Scene
 from .bezier import bending_energy, bezier_trajectories, crosses_itself, straight_controls
 from .curve_grid import CurveGrid, random_controls, varied_controls, with_ends
 
-_CELLS = {2: 20, 3: 8}  # along the straight line, by dimension
+LIBRARY_CELLS = {2: 20, 3: 8}
+"""Cells along the straight line, by dimension."""
+
 _CURVES = 4  # of a cell at most
 _APART = 0.1  # least distance between two of a cell, in lengths of the straight line
 _BATCH, _BATCHES = 1024, 150  # random curves to choose from; half of them are variations
@@ -90,7 +92,7 @@ def make_library(dim: int, detour: float) -> CurveLibrary:
     start, goal, wall = np.zeros(dim), np.eye(dim)[0], np.full(dim, 100.0)
     room = Scene(start, [goal, 5 * np.eye(dim)[1]], [-wall, wall])
     straight = straight_controls(start, goal)
-    grid = CurveGrid(room, 0, detour, _CELLS[dim])
+    grid = CurveGrid(room, 0, detour, LIBRARY_CELLS[dim])
     grid.add(straight[None])
     rng = np.random.default_rng(0)
     drawn = [straight[None]]
@@ -125,7 +127,7 @@ def _file(dim: int) -> Path:
 
 def main() -> None:
     """Write the libraries of the default detour into the package."""
-    for dim in _CELLS:
+    for dim in LIBRARY_CELLS:
         make_library(dim, DEFAULT_OBSERVER.detour).save(_file(dim))
 
 

@@ -1,7 +1,7 @@
 """A scene's archive at a glance: the curves of a library take the place of a search.
 
-Each cell takes its first curve that keeps clear. What is missed are curves that only a search
-finds, such as those through a narrow gap.
+Each cell takes its first curve that keeps clear. Where few do, a short search goes on from them.
+What is missed are curves that only a long one finds, such as those through a narrow gap.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ from ..intent.observer import DEFAULT_OBSERVER, Observer
 from ..scene import Scene
 from .archive import Archive, shortest_curve
 from .bezier import bending_energy, bezier_trajectories, crosses_itself
-from .curve_grid import free, reachable, with_ends
-from .library import curve_library
+from .curve_grid import CurveGrid, free, random_controls, reachable, varied_controls, with_ends
+from .library import LIBRARY_CELLS, curve_library
 
 _POINTS = 24  # of a curve, at equal arc length, for lengths and scores
+_FEW = 0.5  # share of the library's cells below which a search goes on
+_BATCH, _BATCHES, _RANDOM = 1024, 6, 2  # of curves in it, the first of which are random
 _LEAST_COST = 1e-300
 
 
@@ -52,7 +54,7 @@ def rough_archive(scene: Scene, target: int, observer: Observer) -> Archive:
 def _geometry(scene: Scene, target: int, detour: float) -> Archive:
     """The curves of a scene, the motion at ℓ = 0 last, without scores and labels."""
     library = curve_library(scene.dim, detour)
-    anchor, shortest, _ = shortest_curve(scene, target)
+    anchor, shortest, reach = shortest_curve(scene, target)
     frame, longest = Frame.of(scene, target), detour * shortest
     controls = library.controls
     if shortest > frame.scale:
@@ -75,7 +77,19 @@ def _geometry(scene: Scene, target: int, detour: float) -> Archive:
         taken.append(first[clear])
         first, last = first[~clear] + 1, last[~clear]
         first, last = first[first < last], last[first < last]
-    controls = np.concatenate([controls[np.sort(np.concatenate(taken))], anchor[None]])
+    controls = controls[np.sort(np.concatenate(taken))]
+    if len(controls) < _FEW * cells:
+        grid = CurveGrid(scene, target, longest, LIBRARY_CELLS[scene.dim], reach)
+        grid.add(np.concatenate([controls, anchor[None]]))
+        rng = np.random.default_rng(0)
+        for batch in range(_BATCHES):
+            draw = random_controls if batch < _RANDOM else varied_controls
+            grid.add(with_ends(draw(rng, grid, _BATCH), anchor))
+        tried += _BATCHES * _BATCH
+        cells = max(cells, int(grid.reached.sum()))
+        controls = grid.controls[grid.filled]
+        controls = controls[(controls != anchor).any((1, 2))]
+    controls = np.concatenate([controls, anchor[None]])
     nothing = np.zeros(len(controls))
     return Archive(
         scene=scene,
