@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from .checks import Array
-from .models.diffusion import standard_normal
 from .models.path_policy import Observation, PathPolicy
 from .motion.tracking import PathTracker, feedback_action
 
@@ -55,14 +53,9 @@ class Policy:
     """Stage 2; with `with_path=False` it sees only the goal."""
 
     def __init__(
-        self,
-        model: PathPolicy | OnnxPathPolicy,
-        seed: int,
-        steps: int | None = None,
-        with_path: bool = True,
+        self, model: PathPolicy | OnnxPathPolicy, steps: int | None = None, with_path: bool = True
     ) -> None:
         self.model, self.steps, self.with_path = model, steps, with_path
-        self.generator = torch.Generator("cpu").manual_seed(seed)
 
     def __call__(self, robots: RobotStates) -> Array:
         """See `Driver`."""
@@ -71,10 +64,7 @@ class Policy:
             robots.positions, robots.previous, robots.goals, config.limit,
             robots.tracker if self.with_path else None,
         )  # fmt: skip
-        noise = standard_normal(
-            len(robots.rows), config.chunk, config.dim, generator=self.generator
-        )
-        return self.model.act(observation, noise, self.steps)[:, : config.execute]
+        return self.model.act(observation, self.steps)[:, : config.execute]
 
 
 class Feedback:

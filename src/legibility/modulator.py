@@ -352,7 +352,7 @@ class Modulator:
         if driver is None:
             if self._policy is None:
                 raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
-            driver = Policy(self._policy, seed)
+            driver = Policy(self._policy)
         fleet = Fleet(env, seed)
         self._check_fleet(fleet)
         tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)

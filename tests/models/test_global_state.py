@@ -45,11 +45,10 @@ def plans(model):
 def actions(model):
     """Of stage 2 as the backend runs it."""
     policy, rng = model.path_policy, np.random.default_rng(0)
-    config, dim = policy.config, policy.config.dim
+    dim = policy.config.dim
     features = rng.normal(size=(4, policy.observe.in_features)).astype(np.float32)
     observation = Observation(features, np.stack([np.eye(dim)] * 4), rng.random(4) < 0.5)
-    noise = torch.from_numpy(rng.normal(size=(4, config.chunk, dim)).astype(np.float32))
-    return model._policy.act(observation, noise)
+    return model._policy.act(observation)
 
 
 def load(name, backend):

@@ -81,18 +81,17 @@ def observed(model, size):
     rng, dim = np.random.default_rng(0), model.config.dim
     features = rng.normal(size=(size, model.observe.in_features)).astype(np.float32)
     turn = np.linalg.qr(rng.normal(size=(size, dim, dim)))[0]
-    noise = torch.from_numpy(rng.normal(size=(size, model.config.chunk, dim)).astype(np.float32))
-    return Observation(features, turn, rng.random(size) < 0.5), noise
+    return Observation(features, turn, rng.random(size) < 0.5)
 
 
 @pytest.mark.parametrize("size", [1, 5, 100])
 def test_actions_are_the_same(pair, size):
     policy = pair[0].path_policy
-    observation, noise = observed(policy, size)
-    actions = pair[1]._policy.act(observation, noise)
-    np.testing.assert_allclose(actions, policy.act(observation, noise), atol=1e-6)
+    observation = observed(policy, size)
+    actions = pair[1]._policy.act(observation)
+    np.testing.assert_allclose(actions, policy.act(observation), atol=1e-6)
     with pytest.raises(InvalidInputError, match="steps"):
-        pair[1]._policy.act(observation, noise, policy.config.sampling_steps + 1)
+        pair[1]._policy.act(observation, policy.config.sampling_steps + 1)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -134,9 +133,9 @@ def test_a_policy_of_other_settings_is_exported_and_takes_any_weights():
             torch.nn.init.normal_(parameter, std=0.2)
         model.signal.copy_(noise_schedule(100))
         graph = graph or onnx.export_graph(model)
-        observation, noise = observed(model, 3)
-        actions = onnx.OnnxPathPolicy(model, graph).act(observation, noise)
-        np.testing.assert_allclose(actions, model.act(observation, noise), atol=1e-6)
+        observation = observed(model, 3)
+        actions = onnx.OnnxPathPolicy(model, graph).act(observation)
+        np.testing.assert_allclose(actions, model.act(observation), atol=1e-6)
 
 
 class TestStoredGraph:

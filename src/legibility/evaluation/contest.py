@@ -165,11 +165,10 @@ class Contest:
         return self._execute(jobs, paths, self._driver(name, jobs))
 
     def _driver(self, name: str, jobs: Sequence[Job]) -> Driver:
-        seed = jobs[0].plan_seed
         if not METHODS[name].guided:
-            return Policy(self.policy, seed)
+            return Policy(self.policy)
         scenes, targets = [job.scene for job in jobs], [job.target for job in jobs]
-        return GuidedPolicy(self.policies[name], scenes, targets, seed)
+        return GuidedPolicy(self.policies[name], scenes, targets, jobs[0].plan_seed)
 
     def _execute(self, jobs: Sequence[Job], paths: list[Path], driver: Driver) -> list[Rollout]:
         return execute(

@@ -36,7 +36,7 @@ class Row(NamedTuple):
     """A controller and its conditions."""
 
     text: str  # name in tables
-    driver: Callable[[PathPolicy, int], Driver]  # from stage 2 and a seed
+    driver: Callable[[PathPolicy], Driver]  # from stage 2
     disturbance: str | None = None  # push or shift, an option of the environment
     replan: bool = True  # without feedback from the path a robot is off it by design
 
@@ -48,16 +48,16 @@ ROWS = {
     "goal only": Row("stage 2 without the path", partial(Policy, with_path=False), replan=False),
     "open loop": Row(
         "open-loop replay of the path's displacements",
-        lambda policy, seed: Replay(policy.config.limit),
+        lambda policy: Replay(policy.config.limit),
         replan=False,
     ),
     "open loop, mean gain": Row(
         "the same, divided by the mean of the hidden gains",
-        lambda policy, seed: Replay(policy.config.limit, NOMINAL_GAIN),
+        lambda policy: Replay(policy.config.limit, NOMINAL_GAIN),
         replan=False,
     ),
-    "feedback": Row("the feedback controller that demonstrated", lambda policy, seed: Feedback()),
-    "feedback, pushed": Row("the same, pushed once", lambda policy, seed: Feedback(), "push"),
+    "feedback": Row("the feedback controller that demonstrated", lambda policy: Feedback()),
+    "feedback, pushed": Row("the same, pushed once", lambda policy: Feedback(), "push"),
 }
 """The rows of the table, by name."""
 
@@ -122,7 +122,7 @@ def evaluate_execution(
         tasks: list[_Task] = []
         for first in range(0, config.rollouts, at_once):
             part = slice(first, first + at_once)
-            seeds = plan_seeds(config.seed, first, 3, "demonstration")
+            seeds = plan_seeds(config.seed, first, 2, "demonstration")
             tasks.append((next(iter(ROWS)), scenes[part], levels[part], seeds, None))
         watching = archives[0].observer  # one for all scenes of these regimes
         run = partial(_rollouts, modulator, policy, kind, watching, disturbance)
@@ -166,12 +166,12 @@ def _rollouts(
     disturbance: float,
     task: _Task,
 ) -> list[Rollout]:
-    name, scenes, levels, (plan_seed, policy_seed, env_seed), paths = task
+    name, scenes, levels, (plan_seed, env_seed), paths = task
     row = ROWS[name]
     options = {row.disturbance: disturbance} if row.disturbance else {}
     return execute(
         modulator, kind, scenes, env_seed, options, legibility=levels, seed=plan_seed,
-        paths=paths, driver=row.driver(policy, policy_seed), replan=row.replan, observer=observer,
+        paths=paths, driver=row.driver(policy), replan=row.replan, observer=observer,
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from .conditions import Conditions
 from .path_diffuser import DIAL_LEVELS, PathDiffuser
 from .path_policy import Observation, PathPolicy
 
-_VERSION = 8
+_VERSION = 9
 """Version of the graphs; raising it makes stored graphs be exported again."""
 
 _TRACED = (
@@ -112,17 +112,14 @@ class OnnxPathDiffuser(_OnnxStage):
 class OnnxPathPolicy(_OnnxStage):
     """Acts as `PathPolicy` does, to rounding; for its arguments see `_OnnxStage`."""
 
-    def act(self, observation: Observation, noise: Tensor, steps: int | None = None) -> Array:
+    def act(self, observation: Observation, steps: int | None = None) -> Array:
         """See `PathPolicy.act`.
 
         Raises:
             InvalidInputError: the steps are not the model's own.
         """
         (actions,) = self._run(
-            {"sampling_steps": steps},
-            features=observation.features,
-            has_path=observation.has_path,
-            noise=noise.numpy(),
+            {"sampling_steps": steps}, features=observation.features, has_path=observation.has_path
         )
         return actions.astype(np.float64) * self.config.limit @ observation.rotation
 
@@ -204,8 +201,8 @@ class _Traced(nn.Module):
 
     def forward(self, *inputs: Tensor) -> Tensor:
         if isinstance(self.model, PathPolicy):
-            features, has_path, noise = inputs
-            return self.model.denoise(features, has_path, noise)
+            features, has_path = inputs
+            return self.model.denoise(features, has_path)
         *scenes, scene, level, noise = inputs
         dial = scenes.pop() if self.model.config.field else None
         conditions = Conditions(*scenes)
@@ -216,14 +213,13 @@ class _Traced(nn.Module):
 
 def _example(model: PathDiffuser | PathPolicy) -> dict[str, tuple[Tensor, dict[int, Any]]]:
     """Inputs of `_Traced` by name: a value, and the axes that may have any size."""
-    dim, (rows, scenes) = model.config.dim, (torch.export.Dim(name) for name in "BS")
+    rows, scenes = (torch.export.Dim(name) for name in "BS")
     if isinstance(model, PathPolicy):
         return {
             "features": (torch.zeros(5, model.observe.in_features), {0: rows}),
             "has_path": (torch.ones(5, dtype=torch.bool), {0: rows}),
-            "noise": (torch.zeros(5, model.config.chunk, dim), {0: rows}),
         }
-    rng = np.random.default_rng(0)
+    dim, rng = model.config.dim, np.random.default_rng(0)
     drawn = [Scene.random(rng, dim=dim, num_goals=4) for _ in range(3)]
     seen = model.conditions(drawn, [0, 0, 0], [model.config.observer] * 3)
     inputs = {}

@@ -154,26 +154,28 @@ class PathPolicy(ActionDenoiser):
         return self._encode(features, has_path, self.no_path)
 
     @torch.inference_mode()
-    def act(self, observation: Observation, noise: Tensor, steps: int | None = None) -> Array:
+    def act(self, observation: Observation, steps: int | None = None) -> Array:
         """A chunk of displacements `(B, chunk, D)` [m] in the world, not yet made safe.
 
         Args:
             observation: of `B` robots.
-            noise: `(B, chunk, D)` standard normal; the same noise gives the same actions.
             steps: of the sampler; the configuration's if not given.
         """
         features, has_path = map(torch.from_numpy, (observation.features, observation.has_path))
         with torch.autocast("cpu", enabled=False):
-            actions = self.denoise(features, has_path, noise, steps)
+            actions = self.denoise(features, has_path, steps)
         return actions.double().numpy() * self.config.limit @ observation.rotation
 
-    def denoise(
-        self, features: Tensor, has_path: Tensor, noise: Tensor, steps: int | None = None
-    ) -> Tensor:
-        """`act` in limits and in each robot's frame, `(B, chunk, D)`."""
+    def denoise(self, features: Tensor, has_path: Tensor, steps: int | None = None) -> Tensor:
+        """`act` in limits and in each robot's frame, `(B, chunk, D)`.
+
+        The sampler starts at the middle of its noise: a path leaves nothing to choose, and other
+        noise would only shake the arm.
+        """
         context = self.encode(features, has_path)
         times = sampling_timesteps(self.config.diffusion_steps, steps or self.config.sampling_steps)
-        timesteps = torch.tensor(times, device=noise.device)[:, None]
+        timesteps = torch.tensor(times, device=features.device)[:, None]
+        noise = features.new_zeros(features.shape[0], self.config.chunk, self.config.dim)
 
         def velocity(noisy: Tensor, i: int) -> Tensor:
             return self(noisy, timesteps[i], context)
