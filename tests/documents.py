@@ -60,6 +60,22 @@ def eyes():
     }  # fmt: skip
 
 
+def planning():
+    rows = {
+        name: {
+            "error": summary(0.01 * (i + 1)), "feasible": summary(1.0),
+            "new": summary(10.0 * i + 5), "known": summary(2.0 * i + 1),
+        }
+        for i, name in enumerate(("bare", "quick", "exact", "archive", "search 64", "search 256"))
+    }  # fmt: skip
+    place = {"planners": rows, "noise": summary(0.008)}
+    return {
+        "command": "legibility evaluate planning --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 3, "goals": [2, 6], "levels": 11, "search": [64, 256]},
+        "result": {"dragan": place, "obstacles": place},
+    }  # fmt: skip
+
+
 def execution():
     rows = {}
     for number, name in enumerate(ROWS):

@@ -39,6 +39,17 @@ def test_eyes(here, weights, cli, capsys):
     assert "The posterior legibility:" in text
 
 
+def test_planning(here, weights, cli, capsys):
+    flags = "--scenes 2 --goals 2 --levels 3 --search 64 --seed 1"
+    assert cli(f"evaluate planning {flags} --json e.json --figure e.svg --model", weights) == 0
+    text = capsys.readouterr().out
+    content = json.loads(Path("e.json").read_text())
+    assert content["config"]["search"] == [64]
+    assert set(content["result"]) == {"dragan", "obstacles"}
+    assert "limit: another" in text
+    assert "<svg" in Path("e.svg").read_text()
+
+
 def test_dial_of_executed_motions(here, executable, one_thread, cli, capsys):
     flags = "--closed-loop --scenes 1 --goals 2 --levels 3 --samples 1"
     assert cli(f"evaluate dial {flags} --json e.json --figure e.png --model", executable) == 0

@@ -38,7 +38,16 @@ def test_help_of_a_group(capsys):
     assert main(["evaluate", "--help"]) == 0
     text = capsys.readouterr().out
     assert "Measure a model on held-out scenes." in text
-    for verb in ("dial", "eyes", "execution", "table1", "unseen", "spectrum", "ablations"):
+    for verb in (
+        "dial",
+        "eyes",
+        "planning",
+        "execution",
+        "table1",
+        "unseen",
+        "spectrum",
+        "ablations",
+    ):
         assert f"• {verb} " in text
 
 
@@ -92,7 +101,7 @@ def test_help_of_a_verb(verb, flags, capsys):
 
 VERBS = [
     "plan", "execute", "score", "data", "bench", "report", "doctor",
-    *(f"evaluate {verb}" for verb in ("dial", "eyes", "execution", "table1", "unseen",
+    *(f"evaluate {verb}" for verb in ("dial", "eyes", "planning", "execution", "table1", "unseen",
                                       "spectrum", "ablations")),
 ]  # fmt: skip
 

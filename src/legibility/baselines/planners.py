@@ -6,12 +6,9 @@ import numpy as np
 
 from ..checks import count
 from ..curves import NUM_WAYPOINTS
-from ..frame import Frame
-from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
-from ..motion.archive import Archive
-from ..motion.bezier import bezier_trajectories, straight_controls
-from ..motion.curve_grid import CurveGrid, free, random_controls
+from ..motion.archive import Archive, build_archive
+from ..motion.bezier import bezier_trajectories
 from ..motion.path import Path, straight_waypoints
 from ..scene import Scene
 
@@ -35,14 +32,23 @@ def archive_path(archive: Archive, level: float) -> Path:
     )  # fmt: skip
 
 
-@np.errstate(under="ignore")
+def search_archive(
+    scene: Scene, target: int, observer: Observer, num_candidates: int, seed: int
+) -> Archive:
+    """The archive of random curves alone, as many as asked."""
+    count("num_candidates", num_candidates)
+    return build_archive(
+        scene, target, observer=observer, seed=seed,
+        random_candidates=num_candidates, max_candidates=num_candidates,
+    )  # fmt: skip
+
+
 def search(
     scene: Scene, target: int, level: float, observer: Observer, num_candidates: int, seed: int
 ) -> Path:
     """The nearest to ℓ of random cubic Béziers in this scene.
 
-    They are drawn as the archive draws them. Those that touch anything are dropped, and the rest
-    are labelled by their rank among each other.
+    They are drawn, kept, and ranked as an archive's are, but none is varied.
 
     Args:
         scene: any.
@@ -52,19 +58,7 @@ def search(
         num_candidates: curves drawn.
         seed: of the curves.
     """
-    rng = np.random.default_rng(seed)
-    straight = straight_controls(scene.start, scene.target(target))
-    grid = CurveGrid(scene, target, observer.detour * Frame.of(scene, target).scale, 2)
-    controls = np.tile(straight, (count("num_candidates", num_candidates) + 1, 1, 1))
-    controls[1:, 1:3] = random_controls(rng, grid, num_candidates)
-    controls = controls[np.append(True, free(scene, target, controls[1:]))]
-    curves = bezier_trajectories(controls, SCORE_POINTS)
-    scores = observer.score(curves, scene, target)
-    best = np.argmin(np.abs(observer.labels(scores, float(scores[0])) - level))
-    return Path.through(
-        bezier_trajectories(controls[[best]], NUM_WAYPOINTS + 2)[0],
-        scene, target, np.asarray(level), observer,
-    )  # fmt: skip
+    return archive_path(search_archive(scene, target, observer, num_candidates, seed), level)
 
 
 def candidates_within(milliseconds: float, scene: Scene, target: int, observer: Observer) -> int:

@@ -14,6 +14,7 @@ from .report import result_figure
 
 _Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
 _Eyes = Annotated[Any, arg(constructor=flags(configuration.EyesConfig))]
+_Planning = Annotated[Any, arg(constructor=flags(configuration.PlanningConfig))]
 _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig))]
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
 _Unseen = Annotated[Any, arg(constructor=flags(configuration.UnseenConfig))]
@@ -55,6 +56,22 @@ def dial(
 def eyes(evaluation: _Eyes, workers: Workers, model: _Model = MODEL, json: _Json = None) -> None:
     """Turn the dial for one observer, and measure what every other one sees of it."""
     _evaluate("eyes", configuration.EyesConfig, evaluation, model, json, workers=workers)
+
+
+def planning(
+    evaluation: _Planning,
+    workers: Workers,
+    model: _Model = MODEL,
+    json: _Json = None,
+    figure: _Figure = None,
+) -> None:
+    """Measure the error of ℓ against the time to plan, beside random search and archives.
+
+    In free space and past obstacles, in scenes never seen before and once planned in. Leave the
+    machine alone meanwhile.
+    """
+    settings = configuration.PlanningConfig
+    _evaluate("planning", settings, evaluation, model, json, figure, workers)
 
 
 def execution(
@@ -166,7 +183,9 @@ def _evaluate(
         weights["baselines"] = [output.model_record(name) for name in names.values()]
     name = model or MODELS[environment_dim(settings.env)]
     modulator, weights["model"] = Modulator.from_pretrained(name), output.model_record(name)
-    with output.progress_bar("scenes" if kind in ("dial", "eyes") else "rollouts") as progress:
+    with output.progress_bar(
+        "scenes" if kind in ("dial", "eyes", "planning") else "rollouts"
+    ) as progress:
         evaluate = getattr(module, f"evaluate_{kind}")
         result = evaluate(modulator, config=settings, **options, progress=progress)
     _write(kind, settings, result, json, **weights)

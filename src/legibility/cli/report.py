@@ -19,11 +19,11 @@ def report(
     """Render results as one page of Markdown with pictures, and as model cards.
 
     DIR holds results by `KIND-NAME.json`. NAME of weights: closed-loop of `evaluate dial
-    --closed-loop`, eyes of `evaluate eyes`, execution of `evaluate execution`, transfer of the same
-    in another simulator, ablations of `evaluate ablations`, tuning of `train legibility-diffuser`.
-    NAME of weights and -REGIME: dial of `evaluate dial`, and execution past obstacles. NAME of an
-    environment: table1, unseen and spectrum of the verbs of these names. NAME of a device: bench of
-    `bench`. Pictures of dials and spectra are drawn in DIR.
+    --closed-loop`, planning of `evaluate planning`, eyes of `evaluate eyes`, execution of `evaluate
+    execution`, transfer of the same in another simulator, ablations of `evaluate ablations`, tuning
+    of `train legibility-diffuser`. NAME of weights and -REGIME: dial of `evaluate dial`, and
+    execution past obstacles. NAME of an environment: table1, unseen and spectrum of the verbs of
+    these names. NAME of a device: bench of `bench`. Pictures of dials and spectra are drawn in DIR.
 
     Args:
         results: folder of the JSON files.
@@ -74,8 +74,12 @@ def report(
 
 
 def result_figure(kind: str, result: dict[str, Any], file: Path) -> None:
-    """Draw the picture of a result of a dial or spectrum."""
-    if kind == "spectrum":
+    """Draw the picture of a result of an evaluation."""
+    if kind == "planning":
+        from ..figures.paper import planning_figure
+
+        planning_figure(result, file)
+    elif kind == "spectrum":
         from ..evaluation.spectrum import Spectrum
         from ..figures.paper import spectrum_figure
 

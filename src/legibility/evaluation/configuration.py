@@ -117,6 +117,35 @@ class EyesConfig(HeldOutScenes):
 
 
 @dataclass(frozen=True)
+class PlanningConfig:
+    """Settings of the evaluation.
+
+    Attributes:
+        scenes: random scenes of each regime, of the evaluation stream.
+        goals: least and most goals of a scene.
+        seed: of the scenes and the plans.
+        levels: levels of ℓ at equal steps from −1 to 1, a path each.
+        search: numbers of random curves among which a search takes the nearest.
+    """
+
+    scenes: int = 50
+    goals: tuple[int, int] = (2, 6)
+    seed: int = 0
+    levels: int = 11
+    search: tuple[int, ...] = (64, 256, 1024, 4096, 16_384)
+
+    def __post_init__(self) -> None:
+        _check_counts(self, scenes=2, levels=3)
+        self.stream("dragan", 2)
+        for number in self.search:
+            count("search", number)
+
+    def stream(self, regime: str, dim: int) -> SceneStream:
+        """The scenes of a regime in D dimensions."""
+        return SceneStream("evaluation", dim, regime, self.goals, self.seed)
+
+
+@dataclass(frozen=True)
 class ExecutionConfig(HeldOutScenes):
     """Settings of the evaluation.
 

@@ -17,7 +17,7 @@ from ..errors import InvalidInputError
 from ..intent.observer import Observer
 from ..models.goal_policy import GoalPolicy
 from ..modulator import Modulator
-from ..motion.archive import Archive
+from ..motion.archive import Archive, build_archive
 from ..motion.path import Path
 from ..parallel import Each, threads
 from ..rollout import Rollout
@@ -47,6 +47,7 @@ METHODS = {
     "legibility diffuser": Method("Legibility Diffuser", False, True, "Legibility Diffuser"),
     "search": Method("search, in the time of a plan", dial=True),
     "search, tenfold": Method("search, in ten times that", dial=True),
+    "archive": Method("an archive's nearest trajectory", dial=True),
     "modulator": Method("Legibility Modulator", dial=True, paper="Legibility Modulator"),
     "modulator, candidates": Method(
         f"the same, best of {CANDIDATES}", dial=True, paper="Legibility Modulator"
@@ -130,6 +131,16 @@ class Contest:
         if name.startswith("search"):
             size = self.sizes[name != "search"]
             return [search(*job[:3], self.observer, size, job.plan_seed) for job in jobs]
+        if name == "archive":
+            return [
+                archive_path(
+                    build_archive(
+                        job.scene, job.target, observer=self.observer, seed=job.plan_seed
+                    ),
+                    job.level,
+                )
+                for job in jobs
+            ]
         if name in OURS:
             plan = partial(
                 self.modulator.plan,

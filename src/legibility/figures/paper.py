@@ -17,6 +17,7 @@ from ..checks import Array
 from ..envs.colors import GOALS, INK, MUTED
 from ..envs.panda_render import Trail, arm_image
 from ..errors import InvalidInputError
+from ..evaluation.planning import PLACES
 from ..evaluation.statistics import bootstrap_interval
 from ..scene import Scene
 from .belief import Reader, readers
@@ -227,6 +228,39 @@ def dial_figure(result: dict[str, Any], file: str | FilePath) -> None:
         right.set_ylim(0, None)
         right.locator_params(axis="y", nbins=4)
         left.legend(loc="upper left", bbox_to_anchor=(-0.02, 1.04), borderpad=0)
+
+
+def planning_figure(result: dict[str, Any], file: str | FilePath) -> None:
+    """Draw the error of ℓ against the time to plan, in free space and past obstacles.
+
+    In a scene never seen before; open marks are of one that was planned in. Searches are one line.
+
+    Args:
+        result: what `evaluate_planning` returned, or its JSON.
+        file: see `figure_file`.
+    """
+    styles = {"quick": (GOALS[0], "o"), "exact": (GOALS[1], "s"), "archive": (INK, "D")}
+    with figure_file(file, COLUMN, 2.3) as figure:
+        panels = figure.subplots(1, len(result), sharey=True)
+        for panel, (regime, found) in zip(panels, result.items(), strict=True):
+            planners = found["planners"]
+
+            def at(name: str, span: str, planners: Any = planners) -> tuple[float, float]:
+                return planners[name][span]["median"], planners[name]["error"]["mean"]
+
+            searches = np.array([at(n, "new") for n in planners if n.startswith("search")])
+            if len(searches):
+                panel.plot(*searches.T, color=MUTED, lw=1, marker=".", label="search")
+            for name, (color, marker) in styles.items():
+                new, known = at(name, "new"), at(name, "known")
+                panel.plot(*zip(known, new, strict=True), color=color, lw=0.6, ls=DOTTED)
+                panel.plot(*new, marker, color=color, ms=4.5, label=name)
+                panel.plot(*known, marker, color=color, ms=4.5, mfc="white")
+            panel.axhline(found["noise"]["mean"], color=INK, lw=0.7, ls=DASHED, zorder=0)
+            panel.set(xscale="log", yscale="log", xlabel="time to plan [ms]")
+            panel.set_title(PLACES[regime])
+        panels[0].set_ylabel("mean error of $\\ell$")
+        panels[-1].legend(loc="upper right", borderpad=0)
 
 
 def spectrum_figure(spectra: Sequence[Spectrum], file: str | FilePath) -> None:

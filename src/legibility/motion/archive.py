@@ -350,6 +350,12 @@ def _geometry(scene: Scene, target: int, detour: float) -> Archive:
     return build_archive(scene, target, observer=replace(DEFAULT_OBSERVER, detour=detour))
 
 
+def forget_archives() -> None:
+    """Forget cached archives and shortest curves, to time what it takes to make them."""
+    for cached in (shortest_curve, _geometry, scene_archive):
+        cached.cache_clear()
+
+
 @functools.lru_cache(maxsize=64)
 def scene_archive(scene: Scene, target: int, observer: Observer) -> Archive:
     """The archive of a scene, cached; observers of one detour share its curves."""

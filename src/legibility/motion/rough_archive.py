@@ -50,6 +50,12 @@ def rough_archive(scene: Scene, target: int, observer: Observer) -> Archive:
     )
 
 
+def forget_rough_archives() -> None:
+    """Forget cached archives, to time what it takes to make them."""
+    for cached in (_geometry, rough_archive):
+        cached.cache_clear()
+
+
 @functools.lru_cache(maxsize=256)
 def _geometry(scene: Scene, target: int, detour: float) -> Archive:
     """The curves of a scene, the motion at ℓ = 0 last, without scores and labels."""

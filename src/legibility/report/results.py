@@ -13,6 +13,7 @@ from .sections import (
     ablations_section,
     bench_section,
     execution_section,
+    planning_section,
     spectrum_section,
     table1_section,
     unseen_section,
@@ -38,6 +39,11 @@ KINDS = {
         "The dial of executed motions", dial_section, "Asked against achieved ℓ of executed motions"
     ),
     "eyes": Kind("Whose eyes?", eyes_section),
+    "planning": Kind(
+        "Error against time",
+        planning_section,
+        "Error of ℓ against the time to plan, in free space and past obstacles",
+    ),
     "execution": Kind("Execution", execution_section),
     "transfer": Kind("Transfer to another simulator", execution_section),
     "table1": Kind("Table I of the paper", table1_section),

@@ -7,7 +7,8 @@ from ..evaluation.comparison import METRICS as MOTION_METRICS
 from ..evaluation.comparison import TARGETS, TESTED, paper_rows
 from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
 from ..evaluation.execution import ROWS
-from .dials import REGIMES, means, percent, scenes_of
+from ..evaluation.planning import PLACES, planner_text
+from .dials import REGIMES, goals_of, means, percent, scenes_of
 from .table import Bold, Part, Table, number, three_digits
 
 NOTES = (
@@ -112,6 +113,32 @@ def _replacements(result: dict[str, Any]) -> str:
     if replaced := result["rows"]["policy"].get("replaced"):
         text += f" The archive's nearest curve stood in for {replaced} plans."
     return text
+
+
+def planning_section(document: dict[str, Any]) -> list[Part]:
+    """The error of ℓ against the time to plan, of the modulator, of search, and of archives."""
+    config, result = document["config"], document["result"]
+    heads = ("error of ℓ", "feasible", "a new scene [ms]", "a known scene [ms]")
+    table = Table("planner", *(f"{text}: {head}" for text in PLACES.values() for head in heads))
+    for name in next(iter(result.values()))["planners"]:
+        cells: list[str] = []
+        for place in result.values():
+            row = place["planners"][name]
+            cells += [number(row["error"]["mean"], 4), percent(row["feasible"]["mean"])]
+            cells += [three_digits(row[span]["median"]) for span in ("new", "known")]
+        table.add_row(planner_text(name), *cells)
+    cells = []
+    for place in result.values():
+        cells += [number(place["noise"]["mean"], 4), "", "", ""]
+    table.add_row("limit: another seed of the archive", *cells)
+    return [
+        f"{config['scenes']:,} held-out random scenes of each kind with {goals_of(config)} (seed "
+        f"{document['seed']}), Dragan's observer, {config['levels']} levels of ℓ; one core, "
+        "PyTorch. Searches rank random curves as an archive does its own, elite by elite of the "
+        "same grid. In a known scene they and the archive have nothing left to do but to look up "
+        "a curve. Feasible is a path through eight points of the curve that was found.",
+        table,
+    ]
 
 
 def spectrum_section(document: dict[str, Any]) -> list[Part]:
