@@ -147,7 +147,7 @@ def table1():
         "baselines": BASELINES, "config": {"rollouts": 100},
         "result": {
             "env": "BlockReach2D", "scene": {"start": [0, 0.5]}, "methods": methods,
-            "oracle": {letter: dict.fromkeys(TESTED, 3.0) for letter in "RG"},
+            "oracle": {letter: dict.fromkeys(MOTION_METRICS, 3.0) for letter in "RG"},
             "tests": tests([f"{letter} {metric}" for letter in "RG" for metric in TESTED]),
             "search": [64, 640],
         },
