@@ -32,6 +32,8 @@ def finite_array(
     try:
         plain = type(value) is np.ndarray  # whose dtype says it all
         array = np.asarray(value if plain else _detached(value))
+        if value is None:
+            raise TypeError(value)
         if array.dtype.kind not in "iufO" or (not plain and _has_truth_value(value)):
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)

@@ -1,7 +1,7 @@
 """The start–target frame: the start is the origin, the target (1, 0, …).
 
-Archives are gridded and networks see scenes in it, so that a scene that is moved, turned or scaled
-is the same scene.
+Archives are gridded and networks see scenes in it, so that a scene that is moved or scaled is the
+same scene. One that is turned with its walls is so to the grid of an archive and of an image.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Frame:
         """The frame of `scene` for goal `target`."""
         offset = scene.target(target) - scene.start
         scale = float(np.linalg.norm(offset))
-        rotation = axes_along(offset)
+        rotation = axes_along(offset / scale)
         rotation.setflags(write=False)
         return cls(scene.start, rotation, scale)
 

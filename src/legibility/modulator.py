@@ -149,12 +149,14 @@ class Modulator:
             legibility: ℓ in [−1, 1], a number or `(B,)`.
             seed: of the paths drawn; None draws other paths each time.
             observer: who watches; the model's own, Dragan's, if not given. α, detour and label must
-                be those that the model learned.
+                be those that the model learned. A quick plan is least exact for those beyond the
+                model's data, whose β lies from 5 to 60 and σ from 0.06 to 0.36 over the scene's
+                size.
             exact: meet ℓ to its noise by the scene's archive, which is built once (about 0.2 s) and
                 cached.
-            refine: move paths out of contact and to the score that ℓ asks for; where that fails,
-                the archive's nearest curve stands in. Without it the network's own paths are
-                returned, feasible or not.
+            refine: move paths out of contact and to the score that ℓ asks for; where that fails, or
+                makes waves, a curve of the archive stands in. Without it the network's own paths
+                are returned, feasible or not.
             num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
                 to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
                 Between, more than one needs the scene's archive.
@@ -164,7 +166,7 @@ class Modulator:
         Raises:
             InvalidInputError: an argument is out of its range.
             InvalidSceneError: the scene has another dimension than the model, a motion cannot end
-                at the target, or no curve leads there.
+                at the target, or no curve to it was found.
         """
         levels = legibility_levels(legibility)
         seed = seed_or_entropy("seed", seed)
@@ -211,15 +213,17 @@ class Modulator:
             observer: who watches, one for all or a list of `B`.
             seed, exact, refine, num_candidates, guidance, steps: see `plan`.
         """
-        if isinstance(scenes, Scene) or not len(scenes):
+        if not isinstance(scenes, Sequence) or not len(scenes):
             raise InvalidInputError(
-                "scenes must be a list of at least one; plan takes a single one"
+                f"scenes must be a list of at least one, got {scenes!r}; plan takes a single one"
             )
         size = len(scenes)
         levels = levels_for_each(legibility, size)
         seed = seed_or_entropy("seed", seed)
         sampling = Sampling(guidance, steps).checked(self.config)
-        observers = [observer] * size if isinstance(observer, Observer | None) else list(observer)
+        observers: list[Any] = [observer] * size
+        if isinstance(observer, list | tuple):
+            observers = list(observer)
         if len(observers) != size:
             raise InvalidInputError(f"observer must be one for all or {size}, got {len(observers)}")
         tasks = self._tasks(list(scenes), for_each("targets", targets, size), observers, levels)

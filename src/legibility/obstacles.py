@@ -20,7 +20,8 @@ from .checks import Array, finite_array, positive
 from .errors import InvalidInputError, InvalidSceneError
 
 _TINY = 1e-30  # least square under a root, whose gradient at 0 is infinite; exporters drop sums
-_FAR = -1e6  # the radius of a solid that is not there
+ABSENT = -1e6
+"""The radius of a solid that is not there: farther than any room is large."""
 
 
 class _Obstacle(ABC):
@@ -347,7 +348,7 @@ def solids_of(
     for center in () if balls is None else balls:
         rows.append((center, np.eye(dim), np.zeros(dim), ball_radius))
     if not rows:
-        rows.append((np.zeros(dim), np.eye(dim), np.zeros(dim), _FAR))
+        rows.append((np.zeros(dim), np.eye(dim), np.zeros(dim), ABSENT))
     most = max((len(p) for p in polygons), default=0)
     vertices = np.zeros((len(polygons), most, dim))
     for i, polygon in enumerate(polygons):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Array, bounded, count, finite_array, target_index
+from .checks import Array, bounded, count, finite_array, target_index, trajectory_array
 from .errors import InvalidInputError, InvalidSceneError
 from .files import read_document, write_document
 from .obstacles import Obstacle, Solids, obstacle_from_dict, solids_of
@@ -32,6 +32,7 @@ Panda's table, where the simulated arms overshoot by up to 22 mm."""
 TOUCH = 1e-9
 """A motion may touch what it must keep clear of, to this share of the workspace's diagonal."""
 
+_DIAGONALS = 1e-9, 1e6  # least and largest of a workspace [m]
 _AT_START, _BESIDE = 1e-4, 1e-5
 _BLOCK_HEIGHT = 0.04
 _KEYS = ("start", "goals", "workspace", "obstacles", "goal_radius", "clearance")
@@ -80,6 +81,13 @@ class Scene:
         corners = finite_array("workspace", corners, ndim=2, last=dim, error=error)
         if len(corners) != 2 or (corners[0] >= corners[1]).any():
             raise error(f"workspace must be a low and a high corner, got {corners.tolist()}")
+        with np.errstate(over="ignore"):
+            size = float(np.linalg.norm(corners[1] - corners[0]))
+        if not _DIAGONALS[0] <= size <= _DIAGONALS[1]:
+            raise error(
+                f"workspace must have a diagonal from {_DIAGONALS[0]:g} to {_DIAGONALS[1]:g} m, "
+                f"got {size:g}"
+            )
         start = _snapped(start, corners, START_OVERSHOOT[dim])
         goals = _snapped(goals, corners)
         for name, array in (("start", start), ("goals", goals), ("workspace", corners)):
@@ -99,7 +107,10 @@ class Scene:
         gaps[np.tril_indices(len(points))] = np.inf
         i, j = np.unravel_index(np.argmin(gaps), gaps.shape)
         if gaps[i, j] < _ROUNDING * self.diagonal:
-            raise error(f"{names[i]} and {names[j]} coincide at {points[i].tolist()}")
+            raise error(
+                f"{names[i]} and {names[j]} coincide at {points[i].tolist()}, or are too near to "
+                f"each other beside the workspace's diagonal of {self.diagonal:g} m"
+            )
         object.__setattr__(self, "obstacles", _obstacles(obstacles, dim))
         for name, value in (("goal_radius", goal_radius), ("clearance", clearance)):
             try:
@@ -168,6 +179,7 @@ class Scene:
 
     def feasible(self, curves: ArrayLike, target: int) -> np.ndarray:
         """Whether each of `curves (..., T, D)` [m] keeps clear of everything, `(...)` bool."""
+        curves = trajectory_array(curves, self.dim, "curves")
         return np.asarray(self.margin_at(curves, target).min(-1) >= -TOUCH * self.diagonal)
 
     @property
@@ -205,6 +217,10 @@ class Scene:
         Or beyond it by at most `tolerance`, a share of the diagonal.
         """
         points, tolerance = np.asarray(points), tolerance * self.diagonal
+        if points.dtype.kind not in "iuf" or points.shape[-1:] != (self.dim,):
+            raise InvalidInputError(
+                f"points must be numbers of shape (..., {self.dim}), got shape {points.shape}"
+            )
         low, high = self.workspace
         return ((points >= low - tolerance) & (points <= high + tolerance)).all(-1)
 
@@ -300,6 +316,7 @@ class Scene:
                 f"{word} {sorted(map(str, keys))}" for word, keys in differences.items() if keys
             ]
             raise InvalidSceneError(f"a scene has the keys {', '.join(_KEYS)}: {', '.join(parts)}")
+        content = {k: v for k, v in content.items() if v is not None or k not in _KEYS[2:]}
         obstacles = content.get("obstacles", ())
         if not isinstance(obstacles, list | tuple):
             raise InvalidSceneError(f"obstacles must be a list, got {obstacles!r}")
@@ -379,8 +396,9 @@ def _obstacles(obstacles: Any, dim: int) -> tuple[Obstacle, ...]:
 @functools.lru_cache(maxsize=128)  # each part of a plan asks for it
 def _solids(scene: Scene, target: int | None, inflated: bool) -> Solids:
     balls = None
-    if target is not None and scene.goal_radius:
-        balls = scene.distractors(target)
+    if target is not None:
+        others = scene.distractors(target)  # checks the target
+        balls = others if scene.goal_radius else None
     margin = scene.clearance if inflated else 0.0
     return solids_of(scene.obstacles, scene.dim, margin, balls, scene.goal_radius)
 

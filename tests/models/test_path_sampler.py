@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import legibility as lg
-from legibility.curves import NUM_WAYPOINTS, path_curve, turning
+from legibility.curves import NUM_WAYPOINTS, arc_length, path_curve, turning
 from legibility.errors import CheckpointError, InvalidInputError
 from legibility.frame import Frame
 from legibility.models import path_sampler
@@ -209,6 +209,22 @@ class TestPlan:
         turned = turning(path_curve(np.stack([drawn, paths[0]]), 200))
         assert (turned[1] < turned[0] - 0.5) == (wave > 0)
 
+    @pytest.mark.parametrize("exact", [False, True])
+    def test_a_straight_line_along_a_wall_is_taken(self, exact):
+        """Projection keeps off the wall, so the straight line itself must stand in."""
+        along = lg.Scene([0.2, 0], [[0.8, 0], [0.9, 0.4]], [[0, 0], [1, 1]])
+        sampler, _ = scripted(0.1)
+        paths, replaced = sampler.plan(tasks(0.0, along), 0, PLAIN, exact=exact, refine=True)
+        np.testing.assert_allclose(paths[0], np.linspace([0.2, 0], [0.8, 0], 10), atol=1e-9)
+        assert replaced.all()
+
+    def test_no_candidate_is_longer_than_the_detour(self):
+        sampler, _ = scripted([0.4, 1.6])
+        two = tasks([1.0, 1.0])
+        paths, _ = sampler.plan(two, 0, PLAIN, exact=False, refine=True, candidates=2)
+        lengths = arc_length(path_curve(paths, 200))
+        assert (lengths <= 1.01 * 2.5 * np.linalg.norm(SCENE.goals[0] - SCENE.start)).all()
+
     def test_unrefined_is_what_was_drawn(self):
         sampler, _ = scripted(0.05)
         paths, replaced = sampler.plan(tasks(0.5, BARRED), 0, PLAIN, exact=False, refine=False)
@@ -222,8 +238,10 @@ class TestPlan:
             path_sampler, "project", lambda paths, *_: (paths, np.zeros(len(paths), bool))
         )
         sampler, _ = scripted([0.4, 0.05])
+        archive = rough_archive(BARRED, 0, lg.Observer())
+        level = float(archive.label_of(score(through(0.4)[None]))[0])
         paths, replaced = sampler.plan(
-            tasks([0.5, 0.9], BARRED), 0, PLAIN, exact=False, refine=True
+            tasks([level, 0.9], BARRED), 0, PLAIN, exact=False, refine=True
         )
         assert replaced.tolist() == [False, True]
         np.testing.assert_allclose(paths[0], through(0.4), atol=5e-3)  # smoothed

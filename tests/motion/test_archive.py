@@ -565,7 +565,7 @@ class TestObstacles:
     @pytest.mark.parametrize(
         ("change", "message"),
         [
-            ({"obstacles": [lg.Box([0.4, 0.5], [0.1, 3])]}, "no curve leads from the start"),
+            ({"obstacles": [lg.Box([0.4, 0.5], [0.1, 3])]}, "was found from the start"),
             ({"obstacles": [lg.Ball([0.8, 0.65], 0.1)]}, "lies over the target"),
             ({"goal_radius": 0.5}, "within goal_radius"),
         ],
@@ -677,6 +677,8 @@ class TestObservers:
     def test_another_detour_has_other_curves(self):
         with pytest.raises(InvalidInputError, match=r"curves of detour 2.5, the observer's is 2"):
             build_archive(PAPER, cells=4).seen_by(lg.Observer(detour=2))
+        with pytest.raises(InvalidInputError, match="observer must be a"):
+            build_archive(PAPER, cells=4).seen_by("paper")
 
     def test_of_a_scene_is_kept_and_shares_its_curves(self):
         one, other = (

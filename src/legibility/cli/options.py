@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from ..checks import Array, legibility_levels, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
 from ..files import read_document
-from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..intent.observer import Observer, observer_of
 from ..scene import Scene
 
 MODEL = "block-reach-2d"
@@ -99,9 +99,11 @@ class Motions(Place):
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 gives nine equal steps.
         model: name of shipped weights, or a folder; if not given, those of the scene's dimension.
         seed: of every random draw, of paths and in execution.
-        candidates: paths drawn for each level; the one nearest to the level is kept.
-        exact: meet each level by the scene's archive, which is built once, and not as predicted.
-        refine: move what is drawn out of contact.
+        candidates: paths drawn for each level, of which the nearest to it is kept; at -1 and 1 the
+            most extreme one.
+        exact: meet each level by the scene's archive, which is built once, and not by ready-made
+            curves.
+        refine: move what is drawn out of contact and to its level.
     """
 
     legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1")
@@ -137,29 +139,20 @@ def read_scene(file: Path, observer: str | None = None) -> tuple[Scene, Observer
     if file.suffix.lower() not in _DOCUMENTS:
         raise InvalidSceneError(f"a scene file ends in .yaml, .yml or .json, got {file}")
     content = read_document(file, "scene file", InvalidSceneError)
-    found = content.pop("observer", None) if isinstance(content, dict) else None
+    own = content.pop("observer", None) if isinstance(content, dict) else None
     try:
         scene = Scene.from_dict(content)
-        reader = _observer(found if observer is None else observer, scene.dim)
-        reader.field(scene)  # raises where the two do not fit
+        if observer is None:
+            return scene, _fitting(observer_of(own, scene.dim, file.parent), scene)
     except (InvalidSceneError, InvalidInputError) as cause:
         raise type(cause)(f"{file}: {cause}") from cause
-    return scene, reader
+    return scene, _fitting(observer_of(observer, scene.dim), scene)
 
 
-def _observer(given: Any, dim: int) -> Observer:
-    """The observer of a name, of a file's name, or of a mapping."""
-    if given is None or given == "dragan":
-        return DEFAULT_OBSERVER
-    if given == "paper":
-        return Observer.paper(dim)
-    if isinstance(given, dict):
-        return Observer.from_dict(given)
-    if not isinstance(given, str) or Path(given).suffix.lower() not in _DOCUMENTS:
-        raise InvalidInputError(
-            f"observer must be dragan, paper or a file, .yaml or .json, got {given!r}"
-        )
-    return Observer.load(given)
+def _fitting(observer: Observer, scene: Scene) -> Observer:
+    """The observer; raises if they do not fit the scene."""
+    observer.field(scene)
+    return observer
 
 
 def levels(entries: Sequence[str]) -> Array:

@@ -90,7 +90,7 @@ def plan(
         table, f"mean |achieved − asked| {output.number(error)}", *output.dial_lines(archive)
     )
     if path.replaced.any():
-        problem = "paths are the archive's nearest: the network's could not be brought there"
+        problem = "paths are curves of the archive, which came nearer than what the network drew"
         output.show(f"{path.replaced.sum()} of {len(asked)} {problem}")
     if not path.feasible.all():
         problem = "paths are not feasible: they come too near to something"

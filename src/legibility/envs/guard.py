@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array
-from ..obstacles import Solids
+from ..obstacles import ABSENT, Solids
 from ..scene import Scene
 
-_ABSENT = -1e6  # the radius of a solid that is not there [m]
 _TOUCH = 1e-10  # [m], by which a step may sink in by rounding
 _CONTACT = 1e-8  # [m]
 _STANDOFF = 1e-6  # [m]; on a surface itself the direction of the gradient is lost in rounding
@@ -184,7 +183,7 @@ def _boxes(scenes: Sequence[Solids]) -> Solids:
         _stack([s.centers for s in scenes], (most, dim), 0.0),
         _stack([s.axes for s in scenes], (most, dim, dim), np.eye(dim)),
         _stack([s.halves for s in scenes], (most, dim), 0.0),
-        _stack([s.radii for s in scenes], (most,), _ABSENT),
+        _stack([s.radii for s in scenes], (most,), ABSENT),
         none[..., None, None],
         none,
     )
@@ -206,9 +205,9 @@ def _polygons(scenes: Sequence[Solids]) -> Solids:
         np.zeros((*size, 2)),
         np.broadcast_to(np.eye(2), (*size, 2, 2)),
         np.zeros((*size, 2)),
-        np.full(size, _ABSENT),
+        np.full(size, ABSENT),
         _stack(filled, (most, corners, 2), triangle),
-        _stack([s.polygon_radii for s in scenes], (most,), _ABSENT),
+        _stack([s.polygon_radii for s in scenes], (most,), ABSENT),
     )
 
 

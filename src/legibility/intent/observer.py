@@ -24,7 +24,8 @@ PRIORS = ("neutral", "uniform")
 """The named priors."""
 
 _PAPER_SIGMA = {2: 0.15, 3: 0.08}
-_SIGMA_SHARE = 0.15
+_SIGMA_SHARE, _DEPTH = 0.15, 3.0
+_LARGEST_BETA = 1e6  # over the scene's size
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,7 +61,7 @@ class Observer:
     sigma: float | None = None
     beta: float | None = None
     viewpoint: tuple[float, ...] | None = None
-    depth: float = 3.0
+    depth: float = _DEPTH
     alpha: float = DEFAULT_ALPHA
     detour: float = 2.5
     label: str = "anchored"
@@ -95,6 +96,10 @@ class Observer:
             eyes = finite_array("viewpoint", self.viewpoint, ndim=1, last=(2, 3))
             put("viewpoint", tuple(eyes.tolist()))
         put("depth", bounded("depth", self.depth, 1))
+        if self.viewpoint is None and self.depth != _DEPTH:
+            raise InvalidInputError(
+                f"depth {self.depth:g} belongs to a viewpoint, which is not given"
+            )
         put("alpha", bounded("alpha", self.alpha, 0))
         put("detour", bounded("detour", self.detour, 1))
 
@@ -154,11 +159,17 @@ class Observer:
 
     @classmethod
     def load(cls, path: str | Path) -> Observer:
-        """Read an observer from YAML or JSON, or that of a scene file (key `observer`)."""
+        """Read an observer from YAML or JSON, or that of a scene file (key `observer`).
+
+        There it is a mapping, or the path of an observer's file beside the scene's, or `dragan` or
+        `paper`.
+        """
         content = read_document(path, "observer file", InvalidInputError)
-        if isinstance(content, dict) and "start" in content:
-            content = content.get("observer", {})
+        of_scene = isinstance(content, dict) and "start" in content
+        dim = Scene.load(path).dim if of_scene else 0
         try:
+            if of_scene:
+                return observer_of(content.get("observer"), dim, Path(path).parent)
             return cls.from_dict(content)
         except InvalidInputError as cause:
             raise InvalidInputError(f"{path}: {cause}") from cause
@@ -167,12 +178,35 @@ class Observer:
 DEFAULT_OBSERVER = Observer()
 
 
+def observer_of(given: Any, dim: int, folder: Path = Path()) -> Observer:
+    """The observer that `given` means in D dimensions: Dragan's, unless it says another.
+
+    It may be `dragan` or `paper`, the name of a file relative to `folder`, or a mapping.
+    """
+    if given is None or given == "dragan":
+        return DEFAULT_OBSERVER
+    if given == "paper":
+        return Observer.paper(dim)
+    if isinstance(given, dict):
+        return Observer.from_dict(given)
+    if not isinstance(given, str) or not given.lower().endswith((".yaml", ".yml", ".json")):
+        raise InvalidInputError(
+            f"observer must be dragan, paper or a file, .yaml or .json, got {given!r}"
+        )
+    return Observer.load(folder / given)
+
+
 @functools.lru_cache(maxsize=64)  # each part of a plan asks for it
 def _field(scene: Scene, observer: Observer) -> Field:
     goals, size = scene.goals, scene.size
     precision, beta = np.zeros((scene.dim, scene.dim)), 0.0
     if observer.kind == "boltzmann":
         beta = BETA_SHARE / size if observer.beta is None else observer.beta
+        if not beta * size <= _LARGEST_BETA:
+            raise InvalidInputError(
+                f"beta must be at most {_LARGEST_BETA / size:g} 1/m in a scene of {size:g} m, "
+                f"got {beta:g}"
+            )
     else:
         sigma = _SIGMA_SHARE * size if observer.sigma is None else observer.sigma
         if observer.viewpoint is None and observer.prior == "uniform":

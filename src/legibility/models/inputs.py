@@ -1,7 +1,7 @@
 """What the networks see of a scene, in the start–target frame.
 
 A network that sees only this frame (where the distractors pull, where the solids and the walls are,
-who watches) need not learn that a scene may be moved, turned or scaled.
+who watches) need not learn where a scene lies, which way it faces, and how large it is.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from ..checks import Array
 from ..frame import Frame
 from ..intent.field import Field, potential_of_odds
+from ..obstacles import ABSENT
 from ..scene import Scene
 
 WINDOW = ((-1.75, 2.75), (-2.25, 2.25), (-1.75, 1.75))
@@ -25,7 +26,6 @@ DEPTH = 16
 FIELD_CHANNELS = 3
 """Images of a slice: the posterior, the potential, the margin."""
 
-_ABSENT = -1e6  # the radius of a solid that is not there
 _MOST_ODDS = 1e8
 
 
@@ -128,9 +128,9 @@ def scene_solids(scene: Scene, target: int) -> tuple[np.ndarray, ...]:
     centers = frame.world_to_frame(solids.centers)
     axes = solids.axes @ frame.rotation.T
     halves, radii = solids.halves / frame.scale, solids.radii / frame.scale
-    there = solids.radii > _ABSENT / 2
+    there = solids.radii > ABSENT / 2
     centers[~there] = 0
-    radii[~there] = _ABSENT
+    radii[~there] = ABSENT
     vertices, owner = _small(frame.world_to_frame(solids.vertices))
     polygon_radii = solids.polygon_radii[owner] / frame.scale
     upper = np.triu_indices(scene.dim)
@@ -143,7 +143,7 @@ def scene_solids(scene: Scene, target: int) -> tuple[np.ndarray, ...]:
         matrix = basis @ (np.sqrt(np.maximum(values, 0))[:, None] * basis.T)
         rows.append(np.array([[*centre, *matrix[upper], radius, 1.0]]))
     if scene.dim == 2 and not len(vertices):
-        vertices, polygon_radii = _NO_POLYGON[None], np.array([_ABSENT])
+        vertices, polygon_radii = _NO_POLYGON[None], np.array([ABSENT])
     features = np.concatenate(rows)
     features[~features[:, -1].astype(bool)] = 0
     arrays = (centers, axes, halves, radii, vertices, polygon_radii, features)
@@ -188,8 +188,8 @@ def stacked_solids(solids: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ..
         absent = np.broadcast_to(_NO_POLYGON, (number - len(polygons), *_NO_POLYGON.shape))
         vertices[i] = np.concatenate([polygons, absent]) if number else polygons  # none in 3D
     return (
-        stacked(centers), stacked(axes), stacked(halves), stacked(radii, _ABSENT),
-        stacked(vertices), stacked(polygon_radii, _ABSENT), stacked(features),
+        stacked(centers), stacked(axes), stacked(halves), stacked(radii, ABSENT),
+        stacked(vertices), stacked(polygon_radii, ABSENT), stacked(features),
     )  # fmt: skip
 
 

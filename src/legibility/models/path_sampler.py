@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..checks import Array, bounded
-from ..curves import NUM_WAYPOINTS, path_curve, turning
+from ..curves import NUM_WAYPOINTS, arc_length, path_curve, turning
 from ..errors import CheckpointError, InvalidInputError
 from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
-from ..motion.archive import Archive, scene_archive
+from ..motion.archive import Archive, scene_archive, shortest_curve
 from ..motion.bezier import bezier_trajectories
 from ..motion.path import least_margin
 from ..motion.rough_archive import rough_archive
@@ -26,8 +26,10 @@ from .diffusion import standard_normal
 from .path_diffuser import DIAL_LEVELS, PathDiffuser, dial_of
 from .projection import project, smoothed
 
-_MISSED, _WAVES = 0.02, 0.4  # error of ℓ and angle [rad] over the archive's that are faults
-_ELITES = 3  # the smoothest near a level that are tried then, besides the nearest
+# Faults: an error of ℓ, an angle [rad] turned more than the archive's curves, and a length over the
+# longest allowed.
+_MISSED, _WAVES, _EXCESS = 0.02, 0.4, 0.01
+_ELITES, _TRIED = 16, 4  # looked at as they are, of the nearest and of the smoothest; and brought
 
 
 class Sampling(NamedTuple):
@@ -124,7 +126,7 @@ class PathSampler:
         """A path for each task, out of contact and with the score that its ℓ asks for.
 
         That is the score by the scene's archive, a rough one unless `exact`. Where the path drawn
-        misses it or is wavy, some of the archive's curves are brought there as well. Of several
+        misses it, waves or is too long, curves of the archive compete with it. Of several
         `candidates` for a level, which follow each other, the others keep the score that they drew.
         So do all paths of a model without the field.
 
@@ -148,8 +150,15 @@ class PathSampler:
                 )
             if not first.all():
                 own = observer.score(path_curve(paths[row][~first], SCORE_POINTS), scene, target)
-                drawn[~first] = project(drawn[~first], scene, target, observer, own)[0]
+                shortest = shortest_curve(scene, target)[1]
+                drawn[~first] = project(drawn[~first], scene, target, observer, own, shortest)[0]
             paths[row] = drawn
+        for i in np.flatnonzero(~meeting):  # a candidate that is too long counts as the first
+            (scene,), (target,), (observer,) = tasks[:3]
+            longest = observer.detour * shortest_curve(scene, target)[1]
+            if arc_length(path_curve(paths[i], SCORE_POINTS)) > (1 + _EXCESS) * longest:
+                first = i - i % candidates
+                paths[i], replaced[i] = paths[first], replaced[first]
         for fallback in (archive_of, scene_archive):
             touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
             replaced[touching] = True
@@ -185,47 +194,62 @@ class PathSampler:
 def _met(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[np.bool]]:
     """Paths `(B, K + 2, D)` brought to `levels (B,)`, and whether an elite stands in, `(B,)`.
 
-    It does so where the path drawn misses its level or is wavy, and an elite near the level is
-    less so.
+    It does so where the path drawn misses its level, waves or is too long, and an elite near the
+    level, as it is or brought there, is less at fault.
     """
     scene, target, observer = archive.scene, archive.target, archive.observer
+    shortest = archive.shortest_length
+    longest = observer.detour * shortest
 
-    def brought(paths: Array, levels: Array, turned: Array) -> tuple[Array, Array]:
-        wanted, shortest = archive.score_of(levels), archive.shortest_length
-        paths, free = project(paths, scene, target, observer, wanted, shortest)
+    def fault(paths: Array, levels: Array, turned: Array) -> Array:
         curves = path_curve(paths, SCORE_POINTS)
         missed = archive.label_of(observer.score(curves, scene, target)) - levels
-        waves = turning(curves) - turned
-        return paths, np.where(free, np.maximum(np.abs(missed) / _MISSED, waves / _WAVES), np.inf)
+        waves, excess = turning(curves) - turned, arc_length(curves) / longest - 1
+        return np.stack([np.abs(missed) / _MISSED, waves / _WAVES, excess / _EXCESS]).max(0)
+
+    def free(paths: Array) -> NDArray[np.bool]:
+        return least_margin(scene, target, paths) >= -TOUCH * scene.diagonal
+
+    def brought(paths: Array, levels: Array, turned: Array) -> tuple[Array, Array]:
+        wanted = archive.score_of(levels)
+        paths, clear = project(paths, scene, target, observer, wanted, shortest)
+        clear[~clear] = free(paths[~clear])
+        return paths, np.where(clear, fault(paths, levels, turned), np.inf)
 
     asked, which = np.unique(levels, return_inverse=True)
     turned = np.array([archive.turning_near(level).mean() for level in asked])
-    paths, fault = brought(paths, levels, turned[which])
+    paths, faults = brought(paths, levels, turned[which])
     replaced = np.zeros(len(paths), dtype=bool)
-    for i in np.unique(which[fault > 1]):
-        elites = np.append(
-            archive.near(float(asked[i]))[:_ELITES], archive.nearest(float(asked[i]))
-        )
-        drawn = bezier_trajectories(archive.controls[elites], NUM_WAYPOINTS + 2)
-        drawn, faults = brought(drawn, np.full(len(elites), asked[i]), turned[i])
-        best = np.argmin(faults)
-        rows = np.flatnonzero((which == i) & (fault > np.maximum(1, faults[best])))
-        paths[rows], replaced[rows] = drawn[best], True
+    for i in np.unique(which[faults > 1]):
+        level = float(asked[i])
+        gaps = np.argsort(np.abs(archive.labels - level), kind="stable")
+        near = np.unique(np.append(gaps[:_ELITES], archive.near(level)[:_ELITES]))
+        elites = bezier_trajectories(archive.controls[near], NUM_WAYPOINTS + 2)
+        theirs = fault(elites, np.full(len(elites), level), turned[i])
+        best = np.argsort(theirs, kind="stable")[:_TRIED]
+        moved, after = brought(elites[best], np.full(len(best), level), turned[i])
+        theirs = np.append(np.where(free(elites[best]), theirs[best], np.inf), after)
+        elites = np.concatenate([elites[best], moved])
+        rows = np.flatnonzero((which == i) & (faults > max(1, theirs.min())))
+        paths[rows], replaced[rows] = elites[np.argmin(theirs)], True
     return paths, replaced
 
 
 def nearest_path(archive: Archive, level: float) -> Array:
-    """The feasible path `(K + 2, D)` [m] of the elite whose label is nearest."""
-    scene, target = archive.scene, archive.target
+    """The feasible path `(K + 2, D)` [m] of an elite, nearest to a level among the first found.
+
+    If no elite's is feasible, what projection makes of the motion at ℓ = 0.
+    """
+    scene, target, observer = archive.scene, archive.target, archive.observer
     order = np.argsort(np.abs(archive.labels - level), kind="stable")
     for few in np.array_split(order, max(1, len(order) // 64)):
         paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
-        least = least_margin(scene, target, paths)
-        good = np.flatnonzero(least >= -TOUCH * scene.diagonal)
-        if len(good):
-            return paths[good[0]]
+        paths = paths[least_margin(scene, target, paths) >= -TOUCH * scene.diagonal]
+        if len(paths):
+            scores = observer.score(path_curve(paths, SCORE_POINTS), scene, target)
+            return paths[np.argmin(np.abs(archive.label_of(scores) - level))]
     shortest = bezier_trajectories(archive.anchor[None], NUM_WAYPOINTS + 2)
-    return project(shortest, scene, target, archive.observer)[0][0]
+    return project(shortest, scene, target, observer)[0][0]
 
 
 def nearest_candidates(

@@ -61,10 +61,10 @@ def project(
     wanted: Array | None = None,
     shortest: float | None = None,
 ) -> tuple[Array, np.ndarray]:
-    """Paths moved out of contact that have the score wanted, and whether each is feasible.
+    """Paths moved out of contact that have the score wanted, and whether each is out of it.
 
-    A path that is feasible and has its score is returned as it is. One that cannot be made feasible
-    is returned as near to it as was found.
+    A path that keeps clear by `SLACK` and has its score is returned as it is. One that cannot be
+    made so is returned as near to it as was found.
 
     Args:
         paths: `(B, K + 2, D)` [m], from the start to the goal.
@@ -72,11 +72,11 @@ def project(
         target: index of the intended goal.
         observer: whose score it is.
         wanted: `(B,)`, the score that each path should have; its own if not given.
-        shortest: length [m] of the shortest feasible motion, which the detour refers to; that of
-            the straight line if not given and the line is free.
+        shortest: length [m] of the shortest feasible motion, which the detour refers to; the
+            length is free if it is not given.
 
     Returns:
-        `(B, K + 2, D)` [m] and `(B,)` bool.
+        `(B, K + 2, D)` [m], and whether each keeps clear by that much, `(B,)` bool.
     """
     room = Room.of(scene, target, observer)
     task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
@@ -146,12 +146,8 @@ class _Task:
         self.cost = first.error
         if wanted is not None:
             self.cost = np.log(np.maximum(-wanted, _LEAST_COST))
-        longest = 1 / _TINY
-        if shortest is not None:
-            longest = observer.detour * shortest / room.scale
-        elif room.straight:
-            longest = observer.detour
-        self.longest = np.maximum(first.excess, np.log(longest))
+        longest = np.inf if shortest is None else observer.detour * shortest / room.scale
+        self.longest = np.full(len(drawn), np.log(longest))
         self.first = first._replace(
             error=first.error - self.cost, excess=first.excess - self.longest
         )

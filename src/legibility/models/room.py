@@ -37,7 +37,6 @@ class Room:
         low, high: `(T, D)`, walls that leave the pad free.
         pad: `(T,)`, distance aimed at from solids.
         slack: `(T,)`, least distance from everything.
-        straight: whether the straight line is free.
     """
 
     scale: float
@@ -50,11 +49,11 @@ class Room:
     high: Array
     pad: Array
     slack: Array
-    straight: bool
 
     @classmethod
     @functools.lru_cache(maxsize=64)
     def of(cls, scene: Scene, target: int, observer: Observer) -> Room:
+        """The room of a scene, target and observer; cached."""
         scale = Frame.of(scene, target).scale
         solids, field = scene.solids(target), observer.field(scene)
         vertices = solids.vertices
@@ -82,10 +81,9 @@ class Room:
         around = pad(apart[[0, -1], None])[:, 0]
         least = np.minimum(np.minimum(below, above).min(-1), around)
         slack = np.minimum(SLACK, least / 2) - 1e-9 * scene.diagonal / scale
-        straight = bool((apart >= slack).all())
         return cls(
             scale, solids, _balls_around(solids), field, target, workspace,
-            low + below, high - above, around, slack, straight,
+            low + below, high - above, around, slack,
         )  # fmt: skip
 
     def to_walls(self, points: Array) -> Array:

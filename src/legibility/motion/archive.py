@@ -126,6 +126,8 @@ class Archive:
 
     def seen_by(self, observer: Observer) -> Archive:
         """The same curves, scored and labelled by another observer of the same detour."""
+        if not isinstance(observer, Observer):
+            raise InvalidInputError(f"observer must be a legibility.Observer, got {observer!r}")
         if observer.detour != self.observer.detour:
             raise InvalidInputError(
                 f"the archive holds curves of detour {self.observer.detour:g}, the observer's is "
@@ -209,7 +211,7 @@ def build_archive(
 
     Raises:
         InvalidInputError: an argument is out of its range.
-        InvalidSceneError: a motion cannot end at the target, or no curve leads there.
+        InvalidSceneError: a motion cannot end at the target, or no curve to it was found.
     """
     if not isinstance(scene, Scene):
         raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
@@ -323,9 +325,9 @@ def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
         growth *= 2
     if not len(best):
         raise InvalidSceneError(
-            f"no curve leads from the start {scene.start.tolist()} to the target "
-            f"goals[{target}] {scene.goals[target].tolist()} past the obstacles and within the "
-            "workspace"
+            f"no curve (a cubic Bézier) was found from the start {scene.start.tolist()} to the "
+            f"target goals[{target}] {scene.goals[target].tolist()} past the obstacles and within "
+            "the workspace"
         )
     for generation in range(16):
         parents = best[rng.integers(0, len(best), _CHILDREN)][:, 1:3]

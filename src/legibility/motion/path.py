@@ -33,7 +33,8 @@ class Path:
         waypoints: `(B?, K + 2, D)` [m]: start, K = 8 waypoints, goal.
         observer: defines ℓ.
         replaced: `(B?)`, whether a curve of the archive stands in for the path drawn, which could
-            not be brought out of contact, of the whole arm if one executes it, or to ℓ, if exact.
+            not be brought out of contact, of the whole arm if one executes it, or not to ℓ without
+            waves or detours.
     """
 
     scene: Scene
@@ -101,8 +102,14 @@ class Path:
             raise InvalidInputError("the path has one level only: use it as it is")
         return len(self.legibility)
 
+    def __bool__(self) -> bool:
+        """A path of one level has no length and yet is one."""
+        return True
+
     def __getitem__(self, index: int) -> Path:
         """The path of one level of several."""
+        if isinstance(index, bool) or not isinstance(index, int | np.integer):
+            raise InvalidInputError(f"index must be an integer, got {index!r}")
         if not -len(self) <= index < len(self):
             raise IndexError(f"the path has {len(self)} levels, got index {index}")
         return replace(

@@ -30,10 +30,10 @@ _LEAST_COST = 1e-300
 @functools.lru_cache(maxsize=1024)
 @np.errstate(under="ignore")
 def rough_archive(scene: Scene, target: int, observer: Observer) -> Archive:
-    """The archive of a scene by the curves of its library, without a search; cached.
+    """The archive of a scene by the curves of its library, with little search or none; cached.
 
     Raises:
-        InvalidSceneError: no curve leads to the target.
+        InvalidSceneError: no curve to the target was found.
     """
     archive = _geometry(scene, target, observer.detour)
     curves = bezier_trajectories(archive.controls, _POINTS)
