@@ -86,6 +86,7 @@ def execution():
             "within_5_cm": 0.995, "spearman_of_plan": summary(0.97), "error_of_plan": summary(0.01),
             "counts": {}, "farthest_outside": -0.001,
             "spearman": summary(0.9), "error": summary(0.02), "deviation": summary(0.0012),
+            "jerk": summary(12.5), "turned": summary(2.25), "turned_of_plan": summary(2.0),
             "replanned": 0.25, "states_outside": 1, "actions_not_finite": 0,
             "actions_over_limit": 2, "wall_contacts": 3, "contacts": 1234 * number,
         }  # fmt: skip

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pictures import rollout_of
 from rooms import room
 
 import legibility as lg
@@ -269,3 +270,12 @@ class TestRefuses:
         )
         with pytest.raises(InvalidInputError, match=match):
             follow(fleet, [broken], Feedback())
+
+
+def test_jerk_is_that_of_the_positions():
+    """Of a parabola none; of x = t³ [m] six."""
+    times = np.arange(40)[:, None] * 0.05
+    for power, expected in ((1, 0), (2, 0), (3, 6)):
+        states = np.concatenate([times**power, 0 * times], axis=-1)
+        assert rollout_of(None, states).jerk == pytest.approx(expected, abs=1e-6)
+    assert rollout_of(None, states[:3]).jerk == 0

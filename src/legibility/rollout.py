@@ -68,6 +68,12 @@ class Rollout:
         """ℓ as asked."""
         return float(self.path.legibility)
 
+    @cached_property
+    def jerk(self) -> float:
+        """Root mean square of the third derivative of the position [m/s³], 0 of fewer than 4."""
+        third = np.diff(self.states, n=3, axis=0) / self.step_seconds**3
+        return float(np.sqrt((third**2).sum(-1).mean())) if len(third) else 0.0
+
     def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
         """The motion at equal arc length, `(num_points, D)` [m]."""
         return resample(self.states, num_points)

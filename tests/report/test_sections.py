@@ -27,7 +27,8 @@ class TestExecution:
         (table,) = tables_of(execution_section(documents.execution()))
         assert [row[0] for row in table.rows] == [row.text for row in ROWS.values()]
         assert table.rows[0][1:] == (
-            "100.00% (90.00% to 100.00%)", "99.50%", "0.9000", "0.0200", "0.12%", "25.00%", "0", ""
+            "100.00% (90.00% to 100.00%)", "99.50%", "0.9000", "0.0200", "0.12%", "12.5", "2.25",
+            "25.00%", "0", "",
         )  # fmt: skip
         assert table.rows[1][-2:] == ("1,234", "1 stalled")
         assert table.rows[2][2:5] == ("–", "–", "–")

@@ -69,22 +69,6 @@ def test_batches_hold_every_step(data):
     assert (batches.guided[1][:, 0, 0] > 0).float().mean() > 0.9
 
 
-def test_the_actions_are_those_of_an_undisturbed_controller(data):
-    """The first is the demonstrator's own; the robot then goes along its path without a turn."""
-    actions = along_paths(data, 8)[0][1]
-    sent = np.concatenate(data.actions)
-    first = np.linalg.norm(sent, axis=-1) / data.limit
-    times = np.concatenate([np.arange(len(a)) for a in data.actions])
-    order = np.argsort(times, kind="stable")
-    gap = np.abs(np.linalg.norm(actions[:, 0], axis=-1) - first[order])
-    assert gap.mean() < 1e-3  # but where an action had to be made safe
-    after = actions[:, 1:]
-    sideways = after[..., 1:] - after[..., 1:].mean(1, keepdims=True)
-    assert np.sqrt((sideways**2).mean()) < 0.1
-    for part in actions[:, 1:3].swapaxes(0, 1):
-        assert (part[:, 0] > -0.1).all()
-
-
 def test_dropped_paths_are_not_seen(data):
     model = tiny()
     torch.nn.init.normal_(model.unet.outlet.weight)

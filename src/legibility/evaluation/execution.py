@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array
+from ..curves import turning
 from ..data.configuration import SceneStream
 from ..drivers import Driver, Feedback, Policy, Replay
 from ..envs import vector_type
@@ -88,7 +89,8 @@ def evaluate_execution(
     Returns:
         `rows`: for each of `ROWS` success with interval, end reasons, achieved against asked ℓ of
         all rollouts (not where the target moved: a label belongs to a scene), the deviation from
-        the curve followed at the time over the length of the first curve, violations, among them
+        the curve followed at the time over the length of the first curve, the rms `jerk` [m/s³],
+        the angle [rad] that motions and their first plans turn through, violations, among them
         `contacts` (steps) in `touching` rollouts, and the environment's counts; `env`;
         `disturbance` [m]; `impassable`, the number of scenes drawn that the robot cannot pass.
     """
@@ -213,6 +215,9 @@ def _metrics(
         **dial([r.score for r in rollouts]),
         **dial([float(r.path.score) for r in rollouts], "_of_plan"),
         "deviation": over_scenes(deviation),
+        "jerk": over_scenes(np.array([r.jerk for r in rollouts])),
+        "turned": over_scenes(turning(np.stack([r.trajectory() for r in rollouts]))),
+        "turned_of_plan": over_scenes(turning(np.stack([r.path.trajectory() for r in rollouts]))),
         "steps": float(np.mean([len(r.actions) for r in rollouts])),
         "replanned": float(np.mean([len(r.replans) > 0 for r in rollouts])),
         "contacts": sum(r.contacts for r in rollouts),

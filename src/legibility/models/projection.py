@@ -14,6 +14,7 @@ import numpy as np
 
 from ..checks import Array
 from ..curves import NUM_WAYPOINTS, spline_matrix
+from ..intent.field import Field
 from ..intent.observer import Observer
 from ..scene import Scene
 from .room import CURVE_POINTS, PAD, SLACK, Room
@@ -98,6 +99,46 @@ def project(
     return result, merit < _TOUCHING
 
 
+def cost_and_slopes(
+    points: Array, field: Field, target: int, alpha: float
+) -> tuple[Array, Array, Array, Array]:
+    """`−L_p` (paper, eq. 4) and length of paths by their curves `(B, T, D)`, `(B,)` each.
+
+    And the gradient `(B, K, D)` of the first in the waypoints, and the tangents `(B, T − 1, D)`,
+    the gradient of the length in the steps. As `legibility_score`, which resamples the curve, to
+    0.001.
+    """
+    potential, slope = field.potential_and_gradient(points, target)
+    steps = points[:, 1:] - points[:, :-1]
+    lengths = np.sqrt(np.einsum("btd,btd->bt", steps, steps) + _TINY)
+    progress = np.zeros(potential.shape)
+    np.cumsum(lengths, axis=1, out=progress[:, 1:])
+    length = progress[:, -1].copy()
+    progress /= length[:, None]
+    decay = np.exp(-alpha * progress)
+    width = np.empty_like(progress)  # twice that of the trapezoidal rule
+    np.subtract(progress[:, 2:], progress[:, :-2], out=width[:, 1:-1])
+    width[:, 0], width[:, -1] = progress[:, 1], 1 - progress[:, -2]
+    weights = decay * width
+    total = weights.sum(-1, keepdims=True)
+    weights /= total
+    cost = np.einsum("bt,bt->b", weights, potential)
+    # The weights' own derivative: a step that grows shifts the progress of all points.
+    over = potential - cost[:, None]
+    density = decay * over / total
+    shift = -alpha * weights * over
+    shift[:, 1:-1] += density[:, :-2] - density[:, 2:]
+    shift[:, [0, -1]] = 0
+    after = np.cumsum(shift[:, :0:-1], axis=1)[:, ::-1]
+    after -= np.einsum("bt,bt->b", shift, progress)[:, None]
+    after /= length[:, None]
+    tangents = steps / lengths[..., None]
+    matrices = _matrices(points.shape[-1], 0.0)
+    slope = matrices.spline.T @ (weights[..., None] * slope)
+    slope += matrices.change.T @ (after[..., None] * tangents)
+    return np.maximum(cost, _LEAST_COST), length, slope, tangents
+
+
 class _Curves(NamedTuple):
     """The curves of paths, with T points each.
 
@@ -157,7 +198,7 @@ class _Task:
         room, size = self.room, NUM_WAYPOINTS * paths.shape[-1]
         matrices = _matrices(paths.shape[-1], 0.0)
         points = matrices.curve @ paths
-        cost, length, slope, tangents = self._cost(points)
+        cost, length, slope, tangents = cost_and_slopes(points, room.field, room.target, self.alpha)
         # Near enough for contact between two points, or for the pad.
         reach = max(PAD, 2 * length.max() / CURVE_POINTS)
         gap, normal = room.nearest(points.reshape(-1, points.shape[-1]), reach)
@@ -174,42 +215,6 @@ class _Task:
             excess,
             stretch,
         )
-
-    def _cost(self, points: Array) -> tuple[Array, Array, Array, Array]:
-        """`−L_p` (paper, eq. 4) and length of curves `(B, T, D)`, each `(B,)`.
-
-        And the gradient `(B, K, D)` of the first in the waypoints, and the tangents
-        `(B, T − 1, D)`. As `legibility_score`, which resamples the curve, to 0.001.
-        """
-        potential, slope = self.room.field.potential_and_gradient(points, self.room.target)
-        steps = points[:, 1:] - points[:, :-1]
-        lengths = np.sqrt(np.einsum("btd,btd->bt", steps, steps) + _TINY)
-        progress = np.zeros(potential.shape)
-        np.cumsum(lengths, axis=1, out=progress[:, 1:])
-        length = progress[:, -1].copy()
-        progress /= length[:, None]
-        decay = np.exp(-self.alpha * progress)
-        width = np.empty_like(progress)  # twice that of the trapezoidal rule
-        np.subtract(progress[:, 2:], progress[:, :-2], out=width[:, 1:-1])
-        width[:, 0], width[:, -1] = progress[:, 1], 1 - progress[:, -2]
-        weights = decay * width
-        total = weights.sum(-1, keepdims=True)
-        weights /= total
-        cost = np.einsum("bt,bt->b", weights, potential)
-        # The weights' own derivative: a step that grows shifts the progress of all points.
-        over = potential - cost[:, None]
-        density = decay * over / total
-        shift = -self.alpha * weights * over
-        shift[:, 1:-1] += density[:, :-2] - density[:, 2:]
-        shift[:, [0, -1]] = 0
-        after = np.cumsum(shift[:, :0:-1], axis=1)[:, ::-1]
-        after -= np.einsum("bt,bt->b", shift, progress)[:, None]
-        after /= length[:, None]
-        tangents = steps / lengths[..., None]
-        matrices = _matrices(points.shape[-1], 0.0)
-        slope = matrices.spline.T @ (weights[..., None] * slope)
-        slope += matrices.change.T @ (after[..., None] * tangents)
-        return np.maximum(cost, _LEAST_COST), length, slope, tangents
 
     def merit(self, paths: Array, curves: _Curves, below: Array) -> Array:
         """How far each of `paths (B, K + 2, D)` is from what it should be, `(B,)`.

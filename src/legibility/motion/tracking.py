@@ -88,11 +88,6 @@ class PathTracker:
         """Remaining length `(B,)` [m]."""
         return self.lengths - self.progress
 
-    @property
-    def goals(self) -> Array:
-        """Where the paths end, `(B, D)` [m]."""
-        return self._curves[:, -1]
-
     def distance(self, positions: Array) -> Array:
         """Distance `(B,)` [m] of `positions (B, D)` from the places on the paths."""
         return np.linalg.norm(self.ahead(np.zeros(1))[:, 0] - positions, axis=-1)

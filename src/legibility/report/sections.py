@@ -69,7 +69,7 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
     config, result = document["config"], document["result"]
     table = Table(
         "controller", "success (95 % interval)", "within 5 cm", "Spearman", "error of ℓ",
-        "deviation", "replanned", "contacts", "stopped early",
+        "deviation", "jerk [m/s³]", "turned [rad]", "replanned", "contacts", "stopped early",
     )  # fmt: skip
     rows = result["rows"]
     for name, row in rows.items():
@@ -81,6 +81,8 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
             percent(row["within_5_cm"]) if "within_5_cm" in row else "–",
             *means(row, ("spearman", "error")),
             percent(row["deviation"]["mean"]),
+            *means(row, ("jerk",), 1),
+            *means(row, ("turned",), 2),
             percent(row["replanned"]),
             f"{row['contacts']:,}",
             ", ".join(f"{n:,} {reason}" for reason, n in reasons if reason != "reached"),
@@ -92,13 +94,15 @@ def execution_section(document: dict[str, Any]) -> list[Part]:
     plan = rows["policy"]
     counts = [f"{n} {name.replace('_', ' ')}" for name, n in plan["counts"].items()]
     correlation, error = means(plan, ("spearman_of_plan", "error_of_plan"))
+    (turned,) = means(plan, ("turned_of_plan",), 2)
     return [
         f"{config['rollouts']:,} rollouts a row on {scenes_of(document)}, "
         f"{REGIMES[config['regime']]}, ℓ uniform in [−1, 1], in {result['env']}. Contacts are "
         "steps into an obstacle or another goal's block. A push displaces the robot, a shift the "
         f"target, half-way by {100 * result['disturbance']:g} cm." + _replacements(result),
         table,
-        f"The plans have a correlation of {correlation} and an error of {error}. All rows had "
+        f"The plans have a correlation of {correlation} and an error of {error}, and turn through "
+        f"{turned} rad. The jerk is the root mean square over a motion. All rows had "
         f"{', '.join(violations)} (at most {1e3 * farthest:.1f} mm outside)."
         + (f" Stage 2, undisturbed, had {', '.join(counts)}." if counts else ""),
     ]

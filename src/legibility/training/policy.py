@@ -26,7 +26,7 @@ from ..models.goal_policy import GoalPolicy, goal_features
 from ..models.path_policy import Observation, PathPolicy
 from ..models.provenance import Source
 from ..motion.path import Path
-from ..motion.tracking import NOMINAL_GAIN, PathTracker, feedback_action
+from ..motion.tracking import PathTracker
 from ..rollout import Rollout, follow
 from ..scene import Scene
 from .configuration import PolicyTrainingConfig
@@ -90,65 +90,55 @@ class PolicyBatches:
 
 def along_paths(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
     """Every step of the demonstrations as the policy sees it with the path, and without it."""
+    tracker = PathTracker(data.paths, data.limit, data.workspace)
 
-    def seen(now: Array, before: Array, tracker: PathTracker, actions: Array) -> Iterator[Samples]:
-        for path in (tracker, None):
-            view = Observation.of(now, before, tracker.goals, data.limit, path)
+    def seen(rows: Any, now: Array, before: Array, actions: Array) -> Iterator[Samples]:
+        for path in (tracker.of(rows), None):
+            view = Observation.of(now, before, data.paths[rows, -1], data.limit, path)
             yield view.features, actions @ view.rotation.swapaxes(1, 2)
 
-    return _samples(data, chunk, seen)
+    return _samples(data, chunk, seen, tracker)
 
 
 def toward_goals(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
     """Every step of the demonstrations as the policy sees it with the goal, and without it."""
 
-    def seen(now: Array, before: Array, tracker: PathTracker, actions: Array) -> Iterator[Samples]:
-        for goal in (tracker.goals, None):
+    def seen(rows: Any, now: Array, before: Array, actions: Array) -> Iterator[Samples]:
+        for goal in (data.paths[rows, -1], None):
             yield goal_features(now, before, goal, data.limit, data.workspace), actions
 
     return _samples(data, chunk, seen)
 
 
 def _samples(
-    data: Demonstrations, chunk: int, seen: Callable[..., Iterator[Samples]]
+    data: Demonstrations,
+    chunk: int,
+    seen: Callable[..., Iterator[Samples]],
+    tracker: PathTracker | None = None,
 ) -> tuple[Samples, Samples]:
     """The samples with and without guidance that `seen` yields at all times of `data`.
 
-    Its arguments, of the `N` demonstrations that have not ended: positions now and one step before,
-    `(N, D)` [m], the tracker of their paths, and the next actions `(N, chunk, D)` in limits.
+    Its arguments are the indices `(N,)` of the demonstrations that have not ended; their positions
+    now and one step before, `(N, D)` [m]; their next actions `(N, chunk, D)` in limits, 0 after the
+    last one. The `tracker` of all paths moves along.
     """
-    tracker = PathTracker(data.paths, data.limit, data.workspace)
     lengths = np.array([len(a) for a in data.actions])
     longest = lengths.max()
     states = np.stack([np.pad(s, ((0, longest + 1 - len(s)), (0, 0)), "edge") for s in data.states])
+    actions = np.stack([np.pad(a, ((0, longest + chunk - len(a)), (0, 0))) for a in data.actions])
     steps = []
     for t in range(longest):
         now, before = states[:, t], states[:, max(t - 1, 0)]
-        if t:
+        if t and tracker is not None:
             tracker.update(now, before)
         rows = np.flatnonzero(t < lengths)
-        part = tracker.of(rows)
-        following = _continued(part, now[rows], chunk) / data.limit
-        steps.append(list(seen(now[rows], before[rows], part, following)))
+        following = actions[rows, t : t + chunk] / data.limit
+        steps.append(list(seen(rows, now[rows], before[rows], following)))
     guided, unguided = (
         (np.concatenate([x for x, _ in samples]), np.concatenate([a for _, a in samples]))
         for samples in zip(*steps, strict=True)
     )
     return guided, unguided
-
-
-def _continued(tracker: PathTracker, positions: Array, chunk: int) -> Array:
-    """The controller's next actions if nothing disturbs the robots, `(N, chunk, D)` [m].
-
-    Those of the demonstration answer to noise that no policy can foresee: to imitate them shakes
-    the arm.
-    """
-    tracker, actions = tracker.of(np.arange(len(positions))), []
-    for _ in range(chunk):
-        actions.append(feedback_action(tracker, positions))
-        positions, previous = positions + NOMINAL_GAIN * actions[-1], positions
-        tracker.update(positions, previous)
-    return np.stack(actions, axis=1)
 
 
 def train_policy(
