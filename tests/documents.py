@@ -76,6 +76,20 @@ def planning():
     }  # fmt: skip
 
 
+def optimum():
+    row = {
+        "of_optimum": summary(0.96), "of_bound": summary(0.9), "archive_of_optimum": summary(0.95),
+        "archive_of_bound": summary(0.89), "length": summary(1.75),
+    }  # fmt: skip
+    ends = {"1": row, "-1": None}
+    scenes = [{"dragan": {"1": {}, "-1": None}}, {"dragan": {"1": None, "-1": None}}]
+    return {
+        "command": "legibility evaluate optimum --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 2, "regime": "dragan", "goals": [2, 6], "starts": 8, "exact": False},
+        "result": {"rows": {"dragan": ends}, "scenes": scenes},
+    }  # fmt: skip
+
+
 def execution():
     rows = {}
     for number, name in enumerate(ROWS):

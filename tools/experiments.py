@@ -26,7 +26,7 @@ from legibility.files import file_hash, read_text
 _WEIGHTS = Path(legibility.__file__).parent / "weights"
 _MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
 """A module of each extra."""
-_PARALLEL = ("dial", "eyes", "planning", "execution", "table1", "unseen", "ablations")
+_PARALLEL = ("dial", "eyes", "planning", "optimum", "execution", "table1", "unseen", "ablations")
 """Evaluations with `--workers`, which does not change their metrics."""
 
 

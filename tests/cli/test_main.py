@@ -101,8 +101,8 @@ def test_help_of_a_verb(verb, flags, capsys):
 
 VERBS = [
     "plan", "execute", "score", "data", "bench", "report", "doctor",
-    *(f"evaluate {verb}" for verb in ("dial", "eyes", "planning", "execution", "table1", "unseen",
-                                      "spectrum", "ablations")),
+    *(f"evaluate {verb}" for verb in ("dial", "eyes", "planning", "optimum", "execution",
+                                      "table1", "unseen", "spectrum", "ablations")),
 ]  # fmt: skip
 
 

@@ -12,8 +12,8 @@ from legibility.report.results import KINDS, headline_table, read_results, rende
 
 ALL = {
     "dial": documents.dial(), "closed-loop": documents.dial(True), "eyes": documents.eyes(),
-    "planning": documents.planning(), "execution": documents.execution(),
-    "transfer": documents.transfer(),
+    "planning": documents.planning(), "optimum": documents.optimum(),
+    "execution": documents.execution(), "transfer": documents.transfer(),
     "table1": documents.table1(), "unseen": documents.unseen(), "spectrum": documents.spectrum(),
     "ablations": documents.ablations(),
 }  # fmt: skip

@@ -28,6 +28,7 @@ _VERBS = {
     "evaluate dial": "measure achieved against asked legibility on held-out scenes",
     "evaluate eyes": "measure how one observer's dial looks to every other observer",
     "evaluate planning": "measure error against planning time, beside search and archives",
+    "evaluate optimum": "compare plans with the best motions of their length and with a bound",
     "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
     "evaluate unseen": "the same methods on held-out scenes, relative to each scene's oracle",

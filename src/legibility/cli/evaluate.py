@@ -14,6 +14,7 @@ from .report import result_figure
 
 _Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
 _Eyes = Annotated[Any, arg(constructor=flags(configuration.EyesConfig))]
+_Optimum = Annotated[Any, arg(constructor=flags(configuration.OptimumConfig))]
 _Planning = Annotated[Any, arg(constructor=flags(configuration.PlanningConfig))]
 _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig))]
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
@@ -72,6 +73,17 @@ def planning(
     """
     settings = configuration.PlanningConfig
     _evaluate("planning", settings, evaluation, model, json, figure, workers)
+
+
+def optimum(
+    evaluation: _Optimum, workers: Workers, model: _Model = MODEL, json: _Json = None
+) -> None:
+    """Compare plans at -1 and 1 with the best motions of their length, and with a certified bound.
+
+    The best motion is what an optimiser finds from many starts; the bound needs no optimiser.
+    """
+    settings = configuration.OptimumConfig
+    _evaluate("optimum", settings, evaluation, model, json, workers=workers)
 
 
 def execution(
@@ -184,7 +196,7 @@ def _evaluate(
     name = model or MODELS[environment_dim(settings.env)]
     modulator, weights["model"] = Modulator.from_pretrained(name), output.model_record(name)
     with output.progress_bar(
-        "scenes" if kind in ("dial", "eyes", "planning") else "rollouts"
+        "scenes" if kind in ("dial", "eyes", "planning", "optimum") else "rollouts"
     ) as progress:
         evaluate = getattr(module, f"evaluate_{kind}")
         result = evaluate(modulator, config=settings, **options, progress=progress)

@@ -19,11 +19,12 @@ def report(
     """Render results as one page of Markdown with pictures, and as model cards.
 
     DIR holds results by `KIND-NAME.json`. NAME of weights: closed-loop of `evaluate dial
-    --closed-loop`, planning of `evaluate planning`, eyes of `evaluate eyes`, execution of `evaluate
-    execution`, transfer of the same in another simulator, ablations of `evaluate ablations`, tuning
-    of `train legibility-diffuser`. NAME of weights and -REGIME: dial of `evaluate dial`, and
-    execution past obstacles. NAME of an environment: table1, unseen and spectrum of the verbs of
-    these names. NAME of a device: bench of `bench`. Pictures of dials and spectra are drawn in DIR.
+    --closed-loop`, planning of `evaluate planning`, optimum of `evaluate optimum`, eyes of
+    `evaluate eyes`, execution of `evaluate execution`, transfer of the same in another simulator,
+    ablations of `evaluate ablations`, tuning of `train legibility-diffuser`. NAME of weights and
+    -REGIME: dial of `evaluate dial`, and execution past obstacles. NAME of an environment: table1,
+    unseen and spectrum of the verbs of these names. NAME of a device: bench of `bench`. Pictures of
+    dials and spectra are drawn in DIR.
 
     Args:
         results: folder of the JSON files.

@@ -117,6 +117,25 @@ class EyesConfig(HeldOutScenes):
 
 
 @dataclass(frozen=True)
+class OptimumConfig(HeldOutScenes):
+    """Settings of the evaluation.
+
+    Attributes:
+        starts: elites of the archive from which the optimiser starts.
+        exact: meet each level by the scene's archive.
+    """
+
+    scenes: int = 100
+    starts: int = 8
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_counts(self, starts=1)
+        self._check_regime(("dragan",))
+
+
+@dataclass(frozen=True)
 class PlanningConfig:
     """Settings of the evaluation.
 

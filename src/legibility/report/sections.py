@@ -7,6 +7,7 @@ from ..evaluation.comparison import METRICS as MOTION_METRICS
 from ..evaluation.comparison import TARGETS, TESTED, paper_rows
 from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
 from ..evaluation.execution import ROWS
+from ..evaluation.eyes import EYES
 from ..evaluation.planning import PLACES, planner_text
 from .dials import REGIMES, goals_of, means, percent, scenes_of
 from .table import Bold, Part, Table, number, three_digits
@@ -140,6 +141,36 @@ def planning_section(document: dict[str, Any]) -> list[Part]:
         "PyTorch. Searches rank random curves as an archive does its own, elite by elite of the "
         "same grid. In a known scene they and the archive have nothing left to do but to look up "
         "a curve. Feasible is a path through eight points of the curve that was found.",
+        table,
+    ]
+
+
+def optimum_section(document: dict[str, Any]) -> list[Part]:
+    """What share of the possible gain in score plans reach."""
+    config, result = document["config"], document["result"]
+    table = Table(
+        "turned for", "asked ℓ", "scenes", "of the optimum: plan", "of the optimum: archive",
+        "of the bound: plan", "of the bound: archive", "length", left=(0,),
+    )  # fmt: skip
+    for eyes, ends in result["rows"].items():
+        for end, row in ends.items():
+            scenes = sum(scene[eyes][end] is not None for scene in result["scenes"])
+            names = ("of_optimum", "archive_of_optimum", "of_bound", "archive_of_bound")
+            table.add_row(
+                EYES[eyes],
+                end.replace("-", "−"),
+                str(scenes),
+                *(percent(row[n]["median"]) if row else "–" for n in names),
+                number(row["length"]["median"], 2) if row else "–",
+            )
+    how = "exact plans" if config["exact"] else "quick plans"
+    return [
+        f"{scenes_of(document)}, {how}; medians over scenes with 0.05 nats or more to gain. The "
+        "gain in score over ℓ = 0 is that of the plan, and of the archive's best curve that is no "
+        "longer. The optimum of that length is what sequential quadratic programming reaches from "
+        f"the plan and from {config['starts']} elites; the bound is certified: no motion of that "
+        "length can score more, but none may score as much. The length is over the straight "
+        "line's.",
         table,
     ]
 
