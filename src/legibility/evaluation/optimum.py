@@ -177,9 +177,9 @@ def _optimised(
     def spare(x: Array) -> Any:
         points = matrix @ path(x)
         walls = np.concatenate([points - low, high - points]).ravel()
-        return np.append(walls, longest - arc_length(points))
+        return np.append(walls, longest - float(arc_length(points)))
 
-    def spare_slope(x: Array) -> Array:
+    def spare_slope(x: Array) -> Any:
         stretch = changes.T @ measured(x)[3][0]
         return np.concatenate([walls, -walls, -stretch.reshape(1, -1)])
 

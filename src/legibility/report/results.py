@@ -48,8 +48,8 @@ KINDS = {
     "optimum": Kind("Of what is possible", optimum_section),
     "execution": Kind("Execution", execution_section),
     "transfer": Kind("Transfer to another simulator", execution_section),
-    "table1": Kind("Table I of the paper", table1_section),
     "unseen": Kind("Table I's methods on held-out scenes", unseen_section),
+    "table1": Kind("Table I of the paper", table1_section),
     "spectrum": Kind(
         "The spectrum", spectrum_section, "Motions toward R, above, and G, and their cost"
     ),
