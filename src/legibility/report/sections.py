@@ -115,7 +115,7 @@ def _replacements(result: dict[str, Any]) -> str:
     if impassable := result.get("impassable"):
         text += f" {impassable} more scenes were drawn that the robot cannot pass."
     if replaced := result["rows"]["policy"].get("replaced"):
-        text += f" The archive's nearest curve stood in for {replaced} plans."
+        text += f" A curve of the archive stood in for {replaced} plans."
     return text
 
 
