@@ -240,7 +240,7 @@ def planning_figure(result: dict[str, Any], file: str | FilePath) -> None:
         file: see `figure_file`.
     """
     styles = {"quick": (GOALS[0], "o"), "exact": (GOALS[1], "s"), "archive": (INK, "D")}
-    with figure_file(file, COLUMN, 2.3) as figure:
+    with figure_file(file, COLUMN, 2.6) as figure:
         panels = figure.subplots(1, len(result), sharey=True)
         for panel, (regime, found) in zip(panels, result.items(), strict=True):
             planners = found["planners"]
@@ -256,11 +256,14 @@ def planning_figure(result: dict[str, Any], file: str | FilePath) -> None:
                 panel.plot(*zip(known, new, strict=True), color=color, lw=0.6, ls=DOTTED)
                 panel.plot(*new, marker, color=color, ms=4.5, label=name)
                 panel.plot(*known, marker, color=color, ms=4.5, mfc="white")
-            panel.axhline(found["noise"]["mean"], color=INK, lw=0.7, ls=DASHED, zorder=0)
+            noise = found["noise"]["mean"]
+            panel.axhline(noise, color=INK, lw=0.7, ls=DASHED, zorder=0, label="another archive")
             panel.set(xscale="log", yscale="log", xlabel="time to plan [ms]")
             panel.set_title(PLACES[regime])
         panels[0].set_ylabel("mean error of $\\ell$")
-        panels[-1].legend(loc="upper right", borderpad=0)
+        panels[0].plot([], [], "o", color=INK, ms=4.5, mfc="white", label="known scene")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, columnspacing=1.2)
 
 
 def spectrum_figure(spectra: Sequence[Spectrum], file: str | FilePath) -> None:
