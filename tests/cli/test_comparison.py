@@ -88,7 +88,7 @@ def test_report(measured, cli, capsys):
     assert (
         (measured / "tables" / "table1-2d-1.csv").read_text().startswith("method,success,target R")
     )
-    assert r"\multicolumn{4}{c}{target R}" in (measured / "tables" / "table1-2d-1.tex").read_text()
+    assert r"\multicolumn{2}{c}{target R}" in (measured / "tables" / "table1-2d-1.tex").read_text()
     assert (measured / "results" / "spectrum-2d.png").read_bytes().startswith(b"\x89PNG")
     assert (measured / "tables" / "spectrum-2d.pdf").read_bytes().startswith(b"%PDF")
     capsys.readouterr()

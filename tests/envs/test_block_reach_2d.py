@@ -211,7 +211,7 @@ BAD = {
     "noise": ({"noise": -0.1}, "noise must be a number from 0 to 0.05, got -0.1"),
     "push": ({"push": -1}, "push must be a number of at least 0, got -1"),
     "shift": ({"shift": np.inf}, "shift must be finite, got inf"),
-    "no push": ({"push": None}, "push must be finite"),
+    "no push": ({"push": None}, "push must be an array of numbers, got None"),
     "not a mapping": ([("push", 0.1)], "options must be a mapping, got list"),
 }
 
@@ -615,7 +615,7 @@ class TestStep:
             ([0], "1"),
             (0.0, r"\(\)|2"),
             ("up", "array of numbers"),
-            (None, "axes|finite|shape"),
+            (None, "axes|array|finite|shape"),
         ],
     )
     def test_bad_actions_change_nothing(self, action, message):

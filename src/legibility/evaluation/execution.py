@@ -53,7 +53,7 @@ ROWS = {
         replan=False,
     ),
     "open loop, mean gain": Row(
-        "the same, divided by the mean of the hidden gains",
+        "the same, over the mean hidden gain",
         lambda policy: Replay(policy.config.limit, NOMINAL_GAIN),
         replan=False,
     ),
