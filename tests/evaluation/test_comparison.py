@@ -12,6 +12,7 @@ from legibility.curves import spaced
 from legibility.envs import vector_type
 from legibility.errors import InvalidInputError
 from legibility.evaluation.comparison import (
+    EXTERNAL,
     METRICS,
     SCENES,
     TARGETS,
@@ -26,6 +27,7 @@ from legibility.evaluation.comparison import (
 from legibility.evaluation.configuration import SpectrumConfig, Table1Config, UnseenConfig
 from legibility.evaluation.contest import BASELINE, METHODS, OURS, Contest, Job
 from legibility.evaluation.spectrum import Spectrum, evaluate_spectrum
+from legibility.intent.metrics import dragan_legibility
 from legibility.models.configuration import GoalPolicyConfig
 from legibility.models.diffusion import noise_schedule
 from legibility.models.goal_policy import GoalPolicy
@@ -94,7 +96,13 @@ class TestMeasured:
         assert found["distance_score"] == pytest.approx(wanted, abs=5e-4)
         assert found["length_ratio"] == pytest.approx(1)
         assert found["achieved"] == pytest.approx(0, abs=1e-6)
-        assert list(found) == list(METRICS)
+        assert list(found) == list(METRICS | EXTERNAL)
+        known = [found[f"dragan_{beta}"] for beta in (5, 10, 20, 40)]
+        assert known == sorted(known)  # who is more rational learns more of a straight line
+        scene = place.scene
+        by_hand = dragan_legibility(line, scene.goals, TARGETS[letter], 20 / scene.size)
+        assert found["dragan_20"] == pytest.approx(by_hand)
+        assert found["regularised"] == pytest.approx(by_hand - 0.1)
 
     def test_does_not_depend_on_how_densely_a_motion_is_sampled(self):
         place = SCENES[2]

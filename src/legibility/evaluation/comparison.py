@@ -16,8 +16,10 @@ from ..data.configuration import SceneStream
 from ..envs import vector_type
 from ..intent.metrics import (
     SCORE_POINTS,
+    detachment,
     distance_score,
-    dragan_legibility,
+    dragan_posterior,
+    posterior_legibility,
     potential_cost,
     time_to_confidence,
 )
@@ -48,9 +50,21 @@ METRICS = {
     "length_ratio": "length over the straight line's",
     "achieved": "achieved ℓ",
     "time_to_confidence": "time to confidence",
-    "dragan_legibility": "Dragan's legibility",
 }
 """The metrics of a motion, and their names in tables."""
+
+BETAS = (5, 10, 20, 40)
+"""Rationality of Dragan's observer, over the scene's size."""
+
+EXTERNAL = {
+    **{f"dragan_{beta}": f"Dragan’s, β = {beta}" for beta in BETAS},
+    "dragan_confidence": "time to confidence",
+    "regularised": "less cost",
+    "detachment": "detachment",
+}
+"""The same of metrics by other people's definitions: Dragan's legibility (HRI 2013), the time to
+confidence of that observer (β = 20), that legibility (β = 20) less a tenth of the length over the
+straight line's (RSS 2013), and detachment (Style-Conditioned Diffusion Policy, 2026)."""
 
 TESTED = {"distance_score": 1, "potential_cost": -1}
 """The paper's two metrics, which are tested; 1 if higher is better, −1 if lower."""
@@ -78,6 +92,7 @@ a unit and points 2 cm apart, so that the straight line's L_d is 1.546 and 1.201
 Diffusion Policy: 1.54 and 1.23). That of the arm is ours: the paper gives no coordinates."""
 
 _REGULARISER, _GRID_POINTS = 1e-6, 30_000
+_COST = 0.1
 
 _LEAST = {"distance_score": 0.0, "potential_cost": 1e-9}
 """Lower bounds of the metrics: in the clearest scenes nothing is left to compare."""
@@ -86,7 +101,7 @@ _LEAST = {"distance_score": 0.0, "potential_cost": 1e-9}
 def measured(
     states: Array, archive: Archive, spacing: float, unit: float = 1.0
 ) -> dict[str, float]:
-    """`METRICS` of one motion `(T, D)` [m], its points a control step apart.
+    """`METRICS` and `EXTERNAL` of one motion `(T, D)` [m], its points a control step apart.
 
     The paper's two are sums over points, here at equal `spacing` [m] along the motion, and a metre
     is `unit` in L_d. A time to confidence that is never reached counts as 1, the end.
@@ -96,14 +111,22 @@ def measured(
     confident = float(time_to_confidence(field.posterior(states), target))
     straight = np.linalg.norm(scene.target(target) - scene.start)
     score = archive.observer.score(resample(states, SCORE_POINTS), scene, target)
+    ratio = float(arc_length(states) / straight)
+    posteriors = [dragan_posterior(states, scene.goals, beta / scene.size) for beta in BETAS]
+    dragan = [float(posterior_legibility(posterior, target)) for posterior in posteriors]
+    middle = BETAS.index(20)
+    read = float(time_to_confidence(posteriors[middle], target))
     return {
         "distance_score": unit * float(distance_score(points, scene.goals, target)),
         "potential_cost": float(potential_cost(points, field, target)),
         "regularised_cost": regularised_cost(points, scene, target),
-        "length_ratio": float(arc_length(states) / straight),
+        "length_ratio": ratio,
         "achieved": float(archive.label_of(score)),
         "time_to_confidence": min(confident, 1.0),
-        "dragan_legibility": float(dragan_legibility(states, scene.goals, target)),
+        **{f"dragan_{beta}": value for beta, value in zip(BETAS, dragan, strict=True)},
+        "dragan_confidence": min(read, 1.0),
+        "regularised": dragan[middle] - _COST * ratio,
+        "detachment": float(detachment(points, scene.goals, target)),
     }
 
 
@@ -245,7 +268,7 @@ def evaluate_unseen(
         means = {m: array.reshape(config.scenes, -1).mean(axis=1) for m, array in values.items()}
         methods[name] = {
             "success": _share(moved[name] + turned.get(name, [])),
-            **{metric: summary(means[metric]) for metric in METRICS},
+            **{metric: summary(values) for metric, values in means.items()},
             "ratio": {},
         }
         for metric, sign in TESTED.items():
@@ -305,9 +328,9 @@ def _jobs(
 def _values(
     motions: Sequence[Rollout], archives: Iterable[Archive], *units: float
 ) -> dict[str, Array]:
-    """Each of `METRICS` of `N` motions, `(N,)`."""
+    """Each of `METRICS` and `EXTERNAL` of `N` motions, `(N,)`."""
     rows = [measured(m.states, a, *units) for m, a in zip(motions, archives, strict=True)]
-    return {metric: np.array([row[metric] for row in rows]) for metric in METRICS}
+    return {name: np.array([row[name] for row in rows]) for name in METRICS | EXTERNAL}
 
 
 def _share(motions: Sequence[Rollout]) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 from typing import Any
 
 from ..evaluation.ablations import COLUMNS
+from ..evaluation.comparison import EXTERNAL, TARGETS, TESTED, paper_rows
 from ..evaluation.comparison import METRICS as MOTION_METRICS
-from ..evaluation.comparison import TARGETS, TESTED, paper_rows
 from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
 from ..evaluation.execution import ROWS
 from ..evaluation.eyes import EYES
@@ -40,6 +40,13 @@ NOTES = (
 )
 """Paragraphs about the metrics of all sections."""
 
+_BY_OTHERS = (
+    "The same motions with ℓ = 1 by other people's definitions, means: the legibility that "
+    "Dragan's observer sees (HRI 2013), β over the scene's size; the share of the motion after "
+    "which that observer (β = 20) is confident; that legibility less a tenth of the length over "
+    "the straight line's (RSS 2013); and detachment, L_d without a unit (Style-Conditioned "
+    "Diffusion Policy, 2026). The dial is turned for the paper's observer."
+)
 _ARROWS = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
 _BENCH_CONDITIONS = ("mode", "scene", "batch", "goals", "dim", "precision")
@@ -206,6 +213,7 @@ def table1_section(document: dict[str, Any]) -> list[Part]:
     table = Table("method", "success", *heads)
     others = [m for m in MOTION_METRICS if m not in TESTED]
     rest = Table("method", *(MOTION_METRICS[m] for m in others), "plan [ms]", "whole motion [ms]")
+    others_table = Table("method", *EXTERNAL.values())
     oracle = result["oracle"]
     for name, method in result["methods"].items():
         targets, times = method["targets"], method["milliseconds"]
@@ -220,6 +228,8 @@ def table1_section(document: dict[str, Any]) -> list[Part]:
             *(number(sum(t[m]["mean"] for t in targets.values()) / len(targets)) for m in others),
             *(number(times[span], 1) if times else "–" for span in ("plan", "motion")),
         )
+        cells_by_others = (sum(t[m]["mean"] for t in targets.values()) / 2 for m in EXTERNAL)
+        others_table.add_row(METHODS[name].text, *map(number, cells_by_others))
     curve = [_over(oracle[t][m], oracle[t][m]) for t, m in cells]
     table.add_row(f"{METHODS['oracle'].paper}, the curve itself", "–", *curve)
     few, many = result["search"]
@@ -231,6 +241,8 @@ def table1_section(document: dict[str, Any]) -> list[Part]:
         *_beside_paper(result),
         f"Means over both targets; the searches drew {few:,} and {many:,} curves.",
         rest,
+        _BY_OTHERS,
+        others_table,
         _tests(result, [" ".join(cell) for cell in cells]),
     ]
 
@@ -282,6 +294,7 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
         "method", "success", *(f"{MOTION_METRICS[m]} {_ARROWS[m]} over oracle" for m in TESTED),
         "length over straight", "achieved ℓ, asked 1", "Spearman of ℓ", "error of ℓ",
     )  # fmt: skip
+    by_others = Table("method", *EXTERNAL.values())
     for name, method in result["methods"].items():
         ratios: list[str] = []
         for metric in TESTED:
@@ -296,6 +309,7 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
             *means(method, ("length_ratio", "achieved"), 3),
             *means(method, ("spearman", "error")),
         )
+        by_others.add_row(METHODS[name].text, *means(method, EXTERNAL, 3))
     return [
         f"{scenes_of(document)}, in {result['env']}. L_d and L_p are medians over scenes of "
         f"{config['rollouts']} motions with ℓ = 1, over the oracle; an L_p below "
@@ -304,6 +318,8 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
         f"{CANDIDATES} know the labels of the scene's archive, the searches only those of their "
         "own curves.",
         table,
+        _BY_OTHERS,
+        by_others,
         _tests(result, list(TESTED)),
     ]
 
