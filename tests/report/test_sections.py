@@ -81,7 +81,7 @@ class TestTable1:
         rows = {row[0]: row for row in tables_of(section)[1].rows}
         assert rows[METHODS["modulator"].text][1:3] == ("1.50 (0.50)", "1.96 (0.97)")
         assert METHODS["straight line"].text not in rows
-        assert "gives 1.50 for the straight line where the paper has 0.252" in text_of(section)
+        assert "Toward G it gives 1.50 where the paper has 0.252" in text_of(section)
         arm = documents.table1()
         arm["result"]["scene"]["start"] = [0, 0, 0]
         section = table1_section(arm)

@@ -258,13 +258,15 @@ def _beside_paper(result: dict[str, Any]) -> list[Part]:
     shown = {("R", "distance_score"): "L_d_R", ("G", "distance_score"): "L_d_G"}
     if dim == 2:
         shown["R", "regularised_cost"] = "L_p_R"
-        straight = result["methods"]["straight line"]["targets"]["G"]["regularised_cost"]["mean"]
+        straight = result["methods"]["straight line"]["targets"]
+        ours = {t: three_digits(straight[t]["regularised_cost"]["mean"]) for t in TARGETS}
+        theirs = {t: f"{paper[METHODS[BASELINE].paper][f'L_p_{t}']:g}" for t in TARGETS}
         why = (
             "The paper's L_p is of a regularised field, whose potential has another unit. Toward R "
-            "it gives the paper's number for Diffusion Policy, which goes straight. Toward G it "
-            f"gives {three_digits(straight)} for the straight line where the paper has "
-            f"{paper[METHODS[BASELINE].paper]['L_p_G']:g}, and readings of the paper's figure that "
-            "differ by some centimetres do not explain that, so this L_p is not compared."
+            f"it gives the straight line {ours['R']}, where the paper's Diffusion Policy, which "
+            f"goes straight, has {theirs['R']}. Toward G it gives {ours['G']} where the paper has "
+            f"{theirs['G']}, and readings of the paper's figure that differ by some centimetres do "
+            "not explain that, so this L_p is not compared."
         )
     else:
         why = "The paper's scene of the arm is unknown, so its L_p is not compared."
