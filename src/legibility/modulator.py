@@ -150,7 +150,7 @@ class Modulator:
             seed: of the paths drawn; None draws other paths each time.
             observer: who watches; the model's own, Dragan's, if not given. α, detour and label must
                 be those that the model learned. A quick plan is least exact for those beyond the
-                model's data, whose β lies from 5 to 60 and σ from 0.06 to 0.36 over the scene's
+                model's data, whose β lies from 5 to 60 and σ from 0.06 to 0.37 over the scene's
                 size.
             exact: meet ℓ to its noise by the scene's archive, which is built once (about 0.2 s) and
                 cached.

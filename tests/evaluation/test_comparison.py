@@ -284,3 +284,22 @@ def test_the_regularised_cost_is_the_papers_toward_r():
     assert regularised_cost(line, place.scene, 0) == pytest.approx(1.42e-3, rel=0.01)
     line = spaced(np.linspace(place.scene.start, place.scene.goals[1], 400), place.spacing)
     assert regularised_cost(line, place.scene, 1) == pytest.approx(0.92, rel=0.01)
+
+
+def test_no_reading_of_the_papers_figure_nearby_explains_its_cost_toward_g():
+    """0.252; of readings within 3 cm that have the paper's L_d to 2 %."""
+    place, rng, costs = SCENES[2], np.random.default_rng(0), []
+    for _ in range(400):
+        start, *goals = np.concatenate([place.scene.start[None], place.scene.goals]) + rng.uniform(
+            -0.03, 0.03, (3, 2)
+        )
+        scene = lg.Scene(start, goals)
+        lines = [spaced(np.linspace(start, goal, 200), place.spacing) for goal in goals]
+        sums = [
+            place.unit * lg.metrics.distance_score(line, scene.goals, target)
+            for target, line in enumerate(lines)
+        ]
+        if np.allclose(sums, [1.54, 1.23], rtol=0.02):
+            costs.append(regularised_cost(lines[1], scene, 1))
+    assert len(costs) > 10
+    assert min(costs) > 0.5

@@ -12,7 +12,7 @@ from ..envs.block_reach import BlockReachVector
 from ..intent.metrics import dragan_legibility
 from ..modulator import Modulator
 from ..motion.path import Path
-from ..parallel import Each, threads
+from ..parallel import Each, pool, threads
 from ..rollout import Rollout
 from ..scene import Scene
 
@@ -48,6 +48,20 @@ def gather(
         results[index] = result
         finished(result)
     return [results[index] for index in range(len(items))]
+
+
+def each_of(
+    items: Sequence[Any],
+    measure: Callable[[Any], Any],
+    workers: int,
+    cluster: str | None,
+    progress: Progress,
+) -> list[Any]:
+    """The results of `measure` in the order of `items`, by a `pool`."""
+    advance = counter(progress, len(items))
+    with pool(workers, cluster) as work:
+        advance(0)
+        return gather(work, measure, items, lambda _: advance(1))
 
 
 def level_steps(number: int) -> Array:

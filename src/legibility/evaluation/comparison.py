@@ -58,7 +58,7 @@ BETAS = (5, 10, 20, 40)
 
 EXTERNAL = {
     **{f"dragan_{beta}": f"Dragan’s, β = {beta}" for beta in BETAS},
-    "dragan_confidence": "time to confidence",
+    "dragan_confidence": "Dragan’s time to confidence",
     "regularised": "less cost",
     "detachment": "detachment",
 }

@@ -13,15 +13,14 @@ from ..data.configuration import SceneStream
 from ..envs import vector_type
 from ..modulator import Modulator
 from ..motion.archive import Archive, scene_archive
-from ..parallel import pool, threads
+from ..parallel import threads
 from ..seeds import plan_seeds
 from .common import (
     DRAGAN_LEVELS,
     Progress,
-    counter,
     dragan_rises,
+    each_of,
     execute_paths,
-    gather,
     level_steps,
     rounded,
     silent,
@@ -104,10 +103,7 @@ def evaluate_dial(
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
     levels = level_steps(config.levels)
     measure = partial(_measure, modulator, config.stream(modulator.config.dim), levels, config)
-    advance = counter(progress, config.scenes)
-    with pool(workers, cluster) as work:
-        advance(0)
-        rows = gather(work, measure, range(config.scenes), lambda _: advance(1))
+    rows = each_of(range(config.scenes), measure, workers, cluster, progress)
     return {
         **({"env": world(kind)} if kind else {}),
         "overall": _overall(rows),

@@ -11,15 +11,14 @@ from ..data.configuration import SceneStream
 from ..intent.metrics import SCORE_POINTS, posterior_legibility
 from ..intent.observer import Observer
 from ..modulator import Modulator
-from ..parallel import pool, threads
+from ..parallel import threads
 from ..scene import Scene
 from ..seeds import plan_seeds
 from .common import (
     DRAGAN_LEVELS,
     Progress,
-    counter,
     dragan_rises,
-    gather,
+    each_of,
     level_steps,
     rounded,
     silent,
@@ -77,10 +76,7 @@ def evaluate_eyes(
     """
     source = config.stream(modulator.config.dim)
     measure = partial(_measure, modulator, source, config)
-    advance = counter(progress, config.scenes)
-    with pool(workers, cluster) as work:
-        advance(0)
-        scenes = gather(work, measure, range(config.scenes), lambda _: advance(1))
+    scenes = each_of(range(config.scenes), measure, workers, cluster, progress)
 
     def over(*keys: str) -> dict[str, Any]:
         values = scenes

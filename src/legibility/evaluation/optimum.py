@@ -20,10 +20,10 @@ from ..models.room import CURVE_POINTS, Room
 from ..modulator import Modulator
 from ..motion.archive import Archive, scene_archive
 from ..motion.bezier import bezier_trajectories
-from ..parallel import pool, threads
+from ..parallel import threads
 from ..scene import Scene
 from ..seeds import plan_seeds
-from .common import Progress, counter, gather, rounded, silent
+from .common import Progress, each_of, rounded, silent
 from .configuration import OptimumConfig
 from .eyes import observers
 from .statistics import summary
@@ -72,10 +72,7 @@ def evaluate_optimum(
     """
     source = config.stream(modulator.config.dim)
     measure = partial(_measure, modulator, source, config)
-    advance = counter(progress, config.scenes)
-    with pool(workers, cluster) as work:
-        advance(0)
-        scenes = gather(work, measure, range(config.scenes), lambda _: advance(1))
+    scenes = each_of(range(config.scenes), measure, workers, cluster, progress)
     rows: dict[str, Any] = {}
     for eyes in EYES:
         for end in ENDS:
@@ -109,8 +106,8 @@ def _measure(
 def _shares(archive: Archive, sign: int, waypoints: Array, starts: int) -> dict[str, float] | None:
     """The metrics of one plan; None where there is nothing worth the name to gain."""
     scene, observer = archive.scene, archive.observer
-    length = float(arc_length(path_curve(waypoints, SCORE_POINTS)))
-    score = float(observer.score(path_curve(waypoints, SCORE_POINTS), scene, archive.target))
+    curve = path_curve(waypoints, SCORE_POINTS)
+    length, score = float(arc_length(curve)), float(observer.score(curve, scene, archive.target))
     found = best_within(archive, sign, length, waypoints, starts)
     lengths = arc_length(archive.trajectories)
     able = lengths <= length * (1 + _SLACK)

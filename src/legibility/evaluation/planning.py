@@ -14,10 +14,10 @@ from ..modulator import Modulator
 from ..motion.archive import build_archive, forget_archives
 from ..motion.path import Path
 from ..motion.rough_archive import forget_rough_archives
-from ..parallel import pool, threads
+from ..parallel import threads
 from ..scene import Scene
 from ..seeds import plan_seeds
-from .common import Progress, counter, gather, level_steps, rounded, silent
+from .common import Progress, each_of, level_steps, rounded, silent
 from .configuration import PlanningConfig
 from .statistics import summary
 
@@ -69,11 +69,8 @@ def evaluate_planning(
     """
     levels = level_steps(config.levels)
     items = [(regime, index) for regime in PLACES for index in range(config.scenes)]
-    advance = counter(progress, len(items))
     measure = partial(_measure, modulator, levels, config)
-    with pool(workers, cluster) as work:
-        advance(0)
-        found = gather(work, measure, items, lambda _: advance(1))
+    found = each_of(items, measure, workers, cluster, progress)
     result: dict[str, Any] = {}
     for i, regime in enumerate(PLACES):
         rows = found[i * config.scenes : (i + 1) * config.scenes]

@@ -153,12 +153,12 @@ class PathSampler:
                 shortest = shortest_curve(scene, target)[1]
                 drawn[~first] = project(drawn[~first], scene, target, observer, own, shortest)[0]
             paths[row] = drawn
-        for i in np.flatnonzero(~meeting):  # a candidate that is too long counts as the first
+        if candidates > 1:  # one that is too long counts as the first of its level
             (scene,), (target,), (observer,) = tasks[:3]
-            longest = observer.detour * shortest_curve(scene, target)[1]
-            if arc_length(path_curve(paths[i], SCORE_POINTS)) > (1 + _EXCESS) * longest:
-                first = i - i % candidates
-                paths[i], replaced[i] = paths[first], replaced[first]
+            longest = (1 + _EXCESS) * observer.detour * shortest_curve(scene, target)[1]
+            long = np.flatnonzero(arc_length(path_curve(paths, SCORE_POINTS)) > longest)
+            first = long - long % candidates
+            paths[long], replaced[long] = paths[first], replaced[first]
         for fallback in (archive_of, scene_archive):
             touching = np.flatnonzero(~(tasks.margin(paths) >= 0))
             replaced[touching] = True

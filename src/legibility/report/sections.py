@@ -34,9 +34,9 @@ NOTES = (
     "scene's archive; brackets in Table I hold the ratio to it. Bold is significantly better than "
     "Diffusion Policy, or worse than another method (p < 0.05 in paired two-sided Wilcoxon tests "
     "with Holm's correction over the table); the effect is the rank-biserial correlation. The time "
-    "to confidence is the share of the motion after which P(g*) ≥ 0.8 for good; never counts as 1. "
-    "The plan is the time before the robot can move; the whole motion adds all action chunks, but "
-    "not the simulation.",
+    "to confidence is the share of the motion after which P(g*) ≥ 0.8 for good, to the paper's "
+    "observer; never counts as 1. The plan is the time before the robot can move; the "
+    "whole motion adds all action chunks, but not the simulation.",
 )
 """Paragraphs about the metrics of all sections."""
 
