@@ -7,6 +7,7 @@ from legibility.evaluation.contest import METHODS, OURS
 from legibility.evaluation.dial import LIMITS, METRICS
 from legibility.evaluation.execution import ROWS
 from legibility.evaluation.eyes import EYES
+from legibility.evaluation.single_scene import ROWS as ROWS_OF_ONE_SCENE
 
 MODEL = {"name": "m", "path": "a" * 64, "policy": "b" * 64}
 OF_MOTIONS = {"success", "deviation"}
@@ -167,6 +168,23 @@ def table1():
             "search": [64, 640],
         },
     }  # fmt: skip
+
+
+def single_scene():
+    document = table1()
+    result = document["result"]
+    result["methods"]["legibility diffuser, L_p"] = result["methods"]["legibility diffuser"]
+    result["tests"] += [{**t, "against": "legibility diffuser, L_p"} for t in result["tests"]
+                        if t["against"] == "legibility diffuser"]  # fmt: skip
+    tuned = {"chosen": {"guidance": 25.0, "guidance_decay": 0.8}, "tried": [{}] * 7}
+    result["methods"] = {name: result["methods"][name] for name in ROWS_OF_ONE_SCENE}
+    result["demonstrated"] = result.pop("oracle")
+    result["tuning"] = {key: {"legibility diffuser": tuned} for key in "RG"}
+    del result["search"], document["baselines"], document["model"]
+    document["command"] = "legibility evaluate single-scene --seed 7"
+    document["config"] = {"rollouts": 100, "demonstrations": 150, "training_steps": 3000,
+                          "batch": 256, "tuning_rollouts": 32}  # fmt: skip
+    return document
 
 
 def unseen():

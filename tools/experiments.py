@@ -26,7 +26,10 @@ from legibility.files import file_hash, read_text
 _WEIGHTS = Path(legibility.__file__).parent / "weights"
 _MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
 """A module of each extra."""
-_PARALLEL = ("dial", "eyes", "planning", "optimum", "execution", "table1", "unseen", "ablations")
+_PARALLEL = (
+    "dial", "eyes", "planning", "optimum", "execution", "table1", "unseen", "single-scene",
+    "ablations",
+)  # fmt: skip
 """Evaluations with `--workers`, which does not change their metrics."""
 
 
@@ -60,16 +63,18 @@ class Experiment:
         try:
             document = json.loads(Path(self.arguments[-1]).read_text(encoding="utf-8"))
             command = re.sub(r" --workers \d+", "", document["command"])
-            used = [document["model"], *document.get("baselines", []),
-                    *document["config"].get("weights", [])]  # fmt: skip
+            used = [*document.get("baselines", []), *document["config"].get("weights", [])]
+            used += [document["model"]] * bool(self.weights)
             recorded = {model.pop("name"): model for model in used}
         except (OSError, ValueError, LookupError, TypeError, AttributeError):
             return False
-        current = {
-            name: {file.stem: file_hash(file) for file in (_WEIGHTS / name).glob("*.safetensors")}
-            for name in self.weights
-        }
-        return shlex.split(command)[1:] == self.arguments and recorded == current
+        if shlex.split(command)[1:] != self.arguments or recorded.keys() != set(self.weights):
+            return False
+        files = {
+            (_WEIGHTS / name / f"{stage}.safetensors"): hashed
+            for name, stages in recorded.items() for stage, hashed in stages.items()
+        }  # fmt: skip
+        return all(file.is_file() and file_hash(file) == hashed for file, hashed in files.items())
 
 
 def read_experiments(file: Path) -> dict[str, Experiment]:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from legibility.data.dataset import Dataset
+from legibility.scene import Scene
 
 
 def test_describes(dataset, here, cli, capsys):
@@ -68,3 +69,31 @@ def test_obstacles_are_counted(here, cli):
     flags = "--regime obstacles --scenes 2 --views 1 --per-scene 3 --cells 6 --candidates 4096"
     assert cli(f"data {flags} --out d --json d.json") == 0
     assert json.loads(Path("d.json").read_text())["result"]["with_obstacles"] == 2
+
+
+def test_a_given_scene(here, cli, capsys):
+    flags = "--regime paper --views 1 --per-scene 9 --cells 6 --candidates 4096"
+    assert cli(f"data --scene scene.yaml {flags} --demonstrations 3 --out d --json d.json") == 0
+    assert "given" in capsys.readouterr().out
+    data = Dataset.load("d")
+    given = Scene.load("scene.yaml")
+    assert data.config.given == given
+    assert [scene.goals.tolist() for scene in data.scenes] == [
+        given.goals.tolist(), given.goals[::-1].tolist()
+    ]  # fmt: skip
+    assert json.loads(Path("d.json").read_text())["config"]["given"] == given.to_dict()
+    assert cli("data --info d --figure d.svg") == 0
+    assert cli(f"data --scene solid.yaml {flags} --out e") == 0
+    assert Dataset.load("e").config.dim == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--scene none.yaml --out d", "none.yaml"),
+        ("--scene scene.yaml --info d", "leave the rest out"),
+        ("--scene scene.yaml --per-scene 2 --out d", "per_scene"),
+    ],
+)
+def test_refuses_a_given_scene(words, message, refused):
+    assert message in refused(f"data {words}")

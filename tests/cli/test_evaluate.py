@@ -106,6 +106,22 @@ def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys)
     assert json.loads(Path("ablations-tiny.json").read_text()) == content
 
 
+def test_single_scene(here, cli, one_thread, monkeypatch, capsys):
+    tried = {"guidance": (2.0,), "guidance_decay": (0.5,), "guidance_share": (1.0,)}
+    monkeypatch.setattr("legibility.evaluation.single_scene.GUIDANCE", tried)
+    flags = "--rollouts 2 --demonstrations 4 --training-steps 2 --batch 8 --tuning-rollouts 1"
+    words = f"evaluate single-scene {flags} --seed 3 --out runs --json single-scene-2d.json"
+    assert cli(words) == 0
+    output = capsys.readouterr()
+    content = json.loads(Path("single-scene-2d.json").read_text())
+    assert content["config"]["demonstrations"] == 4
+    assert "model" not in content
+    assert "toward G: all rows executed" in output.err
+    assert "the best demonstrated path" in output.out
+    assert cli("report . --out page.md") == 0
+    assert "### Table I, learned in its scene alone: 2d" in Path("page.md").read_text()
+
+
 def test_json_is_written_before_a_picture_fails(here, weights, cli, monkeypatch):
     def fail(*_):
         raise OSError("no font")

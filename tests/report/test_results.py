@@ -15,7 +15,7 @@ ALL = {
     "planning": documents.planning(), "optimum": documents.optimum(),
     "execution": documents.execution(), "transfer": documents.transfer(),
     "table1": documents.table1(), "unseen": documents.unseen(), "spectrum": documents.spectrum(),
-    "ablations": documents.ablations(),
+    "ablations": documents.ablations(), "single-scene": documents.single_scene(),
 }  # fmt: skip
 
 

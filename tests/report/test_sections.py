@@ -8,6 +8,7 @@ from legibility.evaluation.execution import ROWS
 from legibility.report.sections import (
     ablations_section,
     execution_section,
+    single_scene_section,
     spectrum_section,
     table1_section,
     unseen_section,
@@ -98,7 +99,7 @@ class TestTable1:
     def test_tests(self):
         table = tables_of(table1_section(documents.table1()))[-1]
         assert len(table.rows) == len(OURS) * (len(METHODS) - len(OURS))
-        assert table.rows[0][:2] == ("one path", "straight line")
+        assert table.rows[0][:2] == ("network alone", "straight line")
         assert table.rows[0][2] == "better, +0.50, p < 0.001"
         assert table.rows[-1][0] == f"best of {CANDIDATES}"
 
@@ -109,6 +110,19 @@ class TestTable1:
         verdict = tables_of(table1_section(document))[-1].rows[0][2]
         assert verdict == "worse, −0.25, p < 0.001"
         assert isinstance(verdict, Bold)
+
+
+def test_single_scene():
+    table, chosen, tests = tables_of(single_scene_section(documents.single_scene()))
+    assert table.rows[-1][2] == "3.00 (1.00)"
+    assert table.rows[0][0] == "straight line"
+    assert chosen.rows[0] == (
+        "Legibility Diffuser, tuned for L_d",
+        "R",
+        "guidance 25, guidance decay 0.8",
+        "7",
+    )
+    assert [row[0] for row in tests.rows] == ["network alone"] * 4 + ["one path"] * 4
 
 
 def test_unseen():

@@ -31,6 +31,7 @@ _VERBS = {
     "evaluate optimum": "compare plans with the best motions of their length and with a bound",
     "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",
+    "evaluate single-scene": "Table I of methods that learned in its scene alone",
     "evaluate unseen": "the same methods on held-out scenes, relative to each scene's oracle",
     "evaluate spectrum": "the paper's figure 3: motions over the whole dial and their cost",
     "evaluate ablations": "measure the worth of each part of stage 1 by small runs without it",
@@ -42,7 +43,7 @@ _GROUPS = {
     "train": "make the weights of a model from a dataset",
     "evaluate": "measure a model on held-out scenes",
 }
-_RESUMED = ("data", "train", "evaluate ablations")
+_RESUMED = ("data", "train", "evaluate ablations", "evaluate single-scene")
 """Verbs that resume after an interrupt."""
 
 

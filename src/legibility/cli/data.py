@@ -14,13 +14,14 @@ from ..data.configuration import DatasetConfig, DemonstrationsConfig
 from ..errors import InvalidInputError
 from ..intent.observer import Observer
 from ..report.table import Table
+from ..scene import Scene
 from .options import Folder, OutputFile, Workers, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
 
 if TYPE_CHECKING:
     from ..data.dataset import Dataset
 
-_Flags = flags(DatasetConfig, "observer")
+_Flags = flags(DatasetConfig, "observer", "given")
 _SCALE = ("alpha", "detour", "label")
 _Observer = flags(Observer, *(f.name for f in fields(Observer) if f.name not in _SCALE))
 _Demonstrations = flags(DemonstrationsConfig)
@@ -33,6 +34,7 @@ def data(
     observer: Annotated[Any, arg(constructor=_Observer)],
     controller: Annotated[Any, arg(constructor=_Demonstrations)],
     workers: Workers,
+    scene: Annotated[Path | None, arg(metavar="FILE")] = None,
     out: Folder = None,
     info: Folder = None,
     figure: OutputFile = None,
@@ -49,6 +51,8 @@ def data(
         observer: what ℓ means, whoever watches.
         controller: the demonstrations.
         workers: processes that make the data.
+        scene: instead of random scenes this one, with each of its goals as the target in turn; dim,
+            scenes and goals are then its own.
         out: folder of the dataset to make.
         info: folder of the dataset to describe.
         figure: with --info, a picture of one scene's archive and all labels; DIR/info.png if not
@@ -60,7 +64,8 @@ def data(
         raise InvalidInputError("give either --out DIR, to make a dataset, or --info DIR")
     check_file(json, "JSON file")
     if info is not None:
-        if dataset != _Flags() or observer != _Observer() or controller != _Demonstrations():
+        given = (dataset, observer, controller, scene)
+        if given != (_Flags(), _Observer(), _Demonstrations(), None):
             raise InvalidInputError("--info describes a dataset as it is; leave the rest out")
         figure = figure or info / "info.png"
         check_figure(figure)
@@ -69,7 +74,8 @@ def data(
     from ..data.dataset import Dataset
 
     if out is not None:
-        config = made(DatasetConfig, dataset, observer=made(Observer, observer))
+        given = None if scene is None else Scene.load(scene)
+        config = made(DatasetConfig, dataset, observer=made(Observer, observer), given=given)
         content = _make(out, config, made(DemonstrationsConfig, controller), workers)
     else:
         content = Dataset.load(folder)
@@ -83,8 +89,8 @@ def data(
         archive = config.archive(
             0, config.observer, cells=config.cells, max_candidates=config.candidates
         )
-        scene, curves, labels = archive.scene, archive.trajectories, archive.labels
-        archive_figure(scene, 0, curves, labels, content.labels, figure)
+        curves, labels = archive.trajectories, archive.labels
+        archive_figure(archive.scene, 0, curves, labels, content.labels, figure)
         show(f"picture: {figure}")
 
 
@@ -148,9 +154,10 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
 def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list[Table]:
     facts = table(f"dataset {folder}", "", "", text_columns=2)
     content = config.to_dict()
-    observer = content.pop("observer")
+    observer, given = content.pop("observer"), content.pop("given")
     for name, value in {**content, **{key: observer[key] for key in _SCALE}}.items():
         facts.add_row(name, "..".join(map(str, value)) if isinstance(value, list) else str(value))
+    facts.add_row("scene", "given" if given else "random")
     facts.add_section()
     elites, coverage = result["elites"], result["coverage"]
     facts.add_row("trajectories", f"{result['trajectories']} in {result['scenes']} scenes")

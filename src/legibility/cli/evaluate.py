@@ -20,6 +20,7 @@ _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig)
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
 _Unseen = Annotated[Any, arg(constructor=flags(configuration.UnseenConfig))]
 _Spectrum = Annotated[Any, arg(constructor=flags(configuration.SpectrumConfig))]
+_SingleScene = Annotated[Any, arg(constructor=flags(configuration.SingleSceneConfig))]
 _Ablations = Annotated[Any, arg(constructor=flags(configuration.AblationsConfig))]
 _Model = Annotated[str, arg(help="name of shipped weights, or a folder")]
 _Json = Annotated[
@@ -153,7 +154,7 @@ def ablations(
     from ..data.dataset import Dataset
     from ..evaluation.ablations import evaluate_ablations
 
-    used, dataset = output.model_record(model), Dataset.load(data)
+    used, dataset = output.model_record(model, "path"), Dataset.load(data)
     with output.progress_bar("scenes and training steps") as progress:
         result = evaluate_ablations(
             model, dataset, out, settings, workers=workers, device=device, progress=progress
@@ -161,8 +162,32 @@ def ablations(
     _write("ablations", settings, result, json, model=used)
 
 
+def single_scene(
+    evaluation: _SingleScene,
+    workers: Workers,
+    out: Annotated[Path, arg(metavar="DIR", help="folder of the data and the trainings")],
+    json: _Json = None,
+) -> None:
+    """Table I with methods that learned in its scene alone, from the same demonstrations.
+
+    Diffusion Policy, Legibility Diffuser and both stages of the modulator are trained in OUT and
+    tuned toward either target, then executed. Interrupted, the same command resumes.
+    """
+    output.check_file(json, "JSON file")
+    settings = made(configuration.SingleSceneConfig, evaluation)
+    output.check_folder(out, "trainings")
+    from ..evaluation.single_scene import evaluate_single_scene
+
+    with output.progress_bar("training steps and rollouts") as progress:
+        result = evaluate_single_scene(out, settings, **vars(workers), progress=progress)
+    _write("single-scene", settings, result, json)
+
+
 _MODULES = {"table1": "comparison", "unseen": "comparison"}
 """The modules of evaluations that have another name."""
+
+_PLANS = ("dial", "eyes", "planning", "optimum")
+"""Evaluations of scenes, by stage 1 alone unless the loop is closed."""
 
 
 def _evaluate(
@@ -194,10 +219,10 @@ def _evaluate(
         options["policies"] = load_baselines(names)
         weights["baselines"] = [output.model_record(name) for name in names.values()]
     name = model or MODELS[environment_dim(settings.env)]
-    modulator, weights["model"] = Modulator.from_pretrained(name), output.model_record(name)
-    with output.progress_bar(
-        "scenes" if kind in ("dial", "eyes", "planning", "optimum") else "rollouts"
-    ) as progress:
+    plans = kind in _PLANS and not getattr(settings, "closed_loop", False)
+    modulator = Modulator.from_pretrained(name)
+    weights["model"] = output.model_record(name, "path" if plans else "*")
+    with output.progress_bar("scenes" if kind in _PLANS else "rollouts") as progress:
         evaluate = getattr(module, f"evaluate_{kind}")
         result = evaluate(modulator, config=settings, **options, progress=progress)
     _write(kind, settings, result, json, **weights)

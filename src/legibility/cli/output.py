@@ -67,13 +67,13 @@ def check_folder(path: Path, what: str) -> None:
         raise OutputError(f"cannot write the {what} to {path}: {cause.strerror}") from cause
 
 
-def model_record(name_or_folder: str) -> dict[str, str]:
-    """The name of the weights and the hash of each stage's file."""
+def model_record(name_or_folder: str, stages: str = "*") -> dict[str, str]:
+    """The name of the weights and the hash of each stage's file, of all that match `stages`."""
     from ..models.pretrained import pretrained_folder
 
     folder = pretrained_folder(name_or_folder)
     try:
-        hashes = {f.stem: file_hash(f) for f in sorted(folder.glob("*.safetensors"))}
+        hashes = {f.stem: file_hash(f) for f in sorted(folder.glob(f"{stages}.safetensors"))}
     except OSError as cause:
         raise CheckpointError(f"cannot read the weights of {name_or_folder}: {cause}") from cause
     return {"name": name_or_folder, **hashes}

@@ -62,7 +62,7 @@ def plan(
             "target": target, "legibility": asked, **options, "observer": observer.to_dict(),
             "points": points,
         },
-        model=output.model_record(model),
+        model=output.model_record(model, "path"),
         result={
             "scene": scene.to_dict(),
             "target": target,

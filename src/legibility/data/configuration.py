@@ -133,6 +133,7 @@ class DatasetConfig(SceneStream):
             than an archive that judges, to afford more scenes.
         candidates: most curves tried for an archive.
         observer: its α, detour and label are those of all observers.
+        given: instead of random scenes this one, with each of its goals as the target in turn.
     """
 
     stream: str = "train"
@@ -144,8 +145,12 @@ class DatasetConfig(SceneStream):
     cells: int = 0
     candidates: int = 24_576
     observer: Observer = field(default_factory=Observer)
+    given: Scene | None = None
 
     def __post_init__(self) -> None:
+        if self.given is not None:
+            object.__setattr__(self, "dim", self.given.dim)
+            object.__setattr__(self, "scenes", min(self.scenes, self.given.num_goals))
         super().__post_init__()
         count("scenes", self.scenes)
         count("views", self.views)
@@ -165,10 +170,18 @@ class DatasetConfig(SceneStream):
         count("candidates", self.candidates, low=4096)
         positive("efficiency", self.efficiency)
 
+    def scene(self, index: int) -> Scene:
+        """See `SceneStream`; the target is goal 0 in a given scene, too."""
+        if self.given is None:
+            return super().scene(index)
+        goals = np.concatenate([self.given.goals[[index]], np.delete(self.given.goals, index, 0)])
+        return replace(self.given, goals=goals)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the manifest."""
         content = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {**content, "goals": list(self.goals), "observer": self.observer.to_dict()}
+        plain = {"goals": list(self.goals), "observer": self.observer.to_dict()}
+        return {**content, **plain, "given": self.given and self.given.to_dict()}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> DatasetConfig:
@@ -176,12 +189,17 @@ class DatasetConfig(SceneStream):
         if strange := set(content) ^ {f.name for f in fields(cls)}:
             raise DatasetError(f"dataset settings missing or unknown: {sorted(strange)}")
         try:
-            return cls(**{**content, "observer": Observer.from_dict(content["observer"])})
+            observer = Observer.from_dict(content["observer"])
+            given = content["given"] and Scene.from_dict(content["given"])
+            return cls(**{**content, "observer": observer, "given": given})
         except (TypeError, InvalidInputError) as cause:
-            raise DatasetError(f"observer or goals of a dataset are not ours: {cause}") from cause
+            raise DatasetError(f"the settings of a dataset are not ours: {cause}") from cause
 
     def for_validation(self) -> DatasetConfig:
-        """The same settings for 128 scenes of the validation stream, each with one observer."""
+        """The same settings for 128 scenes of the validation stream, each with one observer.
+
+        Of a given scene: other trajectories in it.
+        """
         return replace(self, stream="validation", scenes=VALIDATION_SCENES, views=1)
 
 

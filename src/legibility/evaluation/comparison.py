@@ -32,7 +32,7 @@ from ..rollout import Rollout
 from ..scene import Scene
 from ..seeds import plan_seeds
 from .common import Progress, level_steps, plan_milliseconds, silent, world
-from .configuration import Table1Config, UnseenConfig
+from .configuration import SingleSceneConfig, Table1Config, UnseenConfig
 from .contest import BASELINE, METHODS, OURS, Contest, Job
 from .statistics import (
     bootstrap_interval,
@@ -182,49 +182,79 @@ def evaluate_table1(
         `search`: number of curves that the two searches drew.
     """
     contest, place = _contest(modulator, policies, config)
-    units = place.spacing, place.unit
     times = contest.times(place.scene)
-    archives = {
-        letter: modulator.archive(place.scene, target, contest.observer)
+    archives = table_archives(modulator, place)
+    jobs = table_jobs(place, config)
+    work = [(name, letter) for letter in TARGETS for name in METHODS]
+    tasks = [(n, jobs[letter], [archives[letter]] * config.rollouts) for n, letter in work]
+    with pool(workers, cluster) as each:
+        motions = contest.motions(tasks, each, progress)
+    oracle = {
+        letter: measured(a.trajectories[a.nearest(1.0)], a, place.spacing, place.unit)
+        for letter, a in archives.items()
+    }
+    return {
+        **table_of(place, archives, dict(zip(work, motions, strict=True)), times),
+        "env": world(contest.kind),
+        "oracle": oracle,
+        "search": contest.sizes,
+    }
+
+
+def table_archives(modulator: Modulator, place: TableScene) -> dict[str, Archive]:
+    """The archives that judge motions toward either target."""
+    observer = Observer.paper(place.scene.dim)
+    return {
+        letter: modulator.archive(place.scene, target, observer)
         for letter, target in TARGETS.items()
     }
+
+
+def table_jobs(place: TableScene, config: Table1Config | SingleSceneConfig) -> dict[str, list[Job]]:
+    """The motions toward either target, on the same robots and seeds."""
     seeds = [plan_seeds(config.seed, i, 2) for i in range(config.rollouts)]
-    work = []
-    for letter, target in TARGETS.items():
-        jobs = [Job(place.scene, target, 1.0, *pair) for pair in seeds]
-        work += [(name, jobs, [archives[letter]] * len(jobs)) for name in METHODS]
-    with pool(workers, cluster) as each:
-        motions = iter(contest.motions(work, each, progress))
-    methods: dict[str, Any] = {
-        name: {"milliseconds": times.get(name), "targets": {}} for name in METHODS
-    }
-    cells: dict[str, dict[str, Array]] = {}
-    oracle = {}
-    for letter, archive in archives.items():
-        oracle[letter] = measured(archive.trajectories[archive.nearest(1.0)], archive, *units)
-        for name in METHODS:
-            executed = next(motions)
-            values = _values(executed, [archive] * len(executed), *units)
-            methods[name]["targets"][letter] = {
-                "success": _share(executed),
-                "reasons": dict(Counter(motion.reason for motion in executed)),
-                **{
-                    m: {"mean": float(array.mean()), "interval": bootstrap_interval(array)}
-                    for m, array in values.items()
-                },
-            }
-            for metric, sign in TESTED.items():
-                methods[name]["targets"][letter][metric]["values"] = _rounded(values[metric])
-                cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
     return {
-        "env": world(contest.kind),
+        letter: [Job(place.scene, target, 1.0, *pair) for pair in seeds]
+        for letter, target in TARGETS.items()
+    }
+
+
+def table_of(
+    place: TableScene,
+    archives: dict[str, Archive],
+    motions: dict[tuple[str, str], list[Rollout]],
+    times: dict[str, dict[str, float]],
+) -> dict[str, Any]:
+    """The scene, methods and tests of a table, see `evaluate_table1`.
+
+    Args:
+        place: the scene and the units.
+        archives: that judge, by target.
+        motions: by method and target, paired.
+        times: [ms] of methods, where measured.
+    """
+    methods: dict[str, Any] = {}
+    cells: dict[str, dict[str, Array]] = {}
+    for (name, letter), executed in motions.items():
+        values = _values(executed, [archives[letter]] * len(executed), place.spacing, place.unit)
+        method = methods.setdefault(name, {"milliseconds": times.get(name), "targets": {}})
+        method["targets"][letter] = own = {
+            "success": _share(executed),
+            "reasons": dict(Counter(motion.reason for motion in executed)),
+            **{
+                m: {"mean": float(array.mean()), "interval": bootstrap_interval(array)}
+                for m, array in values.items()
+            },
+        }
+        for metric, sign in TESTED.items():
+            own[metric]["values"] = _rounded(values[metric])
+            cells.setdefault(f"{letter} {metric}", {})[name] = sign * values[metric]
+    return {
         "scene": place.scene.to_dict(),
         "spacing": place.spacing,
         "unit": place.unit,
         "methods": methods,
-        "oracle": oracle,
         "tests": compare(cells),
-        "search": contest.sizes,
     }
 
 

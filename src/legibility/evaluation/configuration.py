@@ -214,6 +214,35 @@ class Table1Config:
 
 
 @dataclass(frozen=True)
+class SingleSceneConfig:
+    """Settings of the training and the evaluation.
+
+    Attributes:
+        env: environment, 2d, panda or pandagym.
+        rollouts: of each method with ℓ = 1, toward either target.
+        seed: of the data, the trainings, the plans, the actions and the robots' hidden properties.
+        demonstrations: toward either target.
+        training_steps: optimiser steps of each network.
+        batch: steps of demonstrations, or trajectories, in a batch.
+        tuning_rollouts: motions by which settings are chosen, each by another robot.
+    """
+
+    env: str = "2d"
+    rollouts: int = 100
+    seed: int = 0
+    demonstrations: int = 150
+    training_steps: int = 3000
+    batch: int = 256
+    tuning_rollouts: int = 32
+
+    def __post_init__(self) -> None:
+        random_seed("seed", self.seed)
+        _check_counts(
+            self, rollouts=2, demonstrations=3, training_steps=1, batch=8, tuning_rollouts=1
+        )
+
+
+@dataclass(frozen=True)
 class UnseenConfig(Table1Config):
     """Settings of the evaluation.
 

@@ -25,9 +25,9 @@ from ..scene import Scene
 from .common import Progress, counter, execute, gather, silent, world
 
 CANDIDATES = 64
-"""Paths drawn by the modulator's second row, which takes the best."""
+"""Paths drawn by the modulator's last row, which takes the best."""
 
-OURS = ("modulator", "modulator, candidates")
+OURS = ("network", "modulator", "modulator, candidates")
 BASELINE = "diffusion policy"
 """The method without any notion of legibility; bold cells differ from it (paper, Table I)."""
 
@@ -48,6 +48,7 @@ METHODS = {
     "search": Method("search, in the time of a plan", dial=True),
     "search, tenfold": Method("search, in ten times that", dial=True),
     "archive": Method("an archive's nearest trajectory", dial=True),
+    "network": Method("the modulator’s network alone", dial=True),
     "modulator": Method("Legibility Modulator", dial=True, paper="Legibility Modulator"),
     "modulator, candidates": Method(
         f"the same, best of {CANDIDATES}", dial=True, paper="Legibility Modulator"
@@ -145,7 +146,8 @@ class Contest:
             plan = partial(
                 self.modulator.plan,
                 observer=self.observer,
-                num_candidates=CANDIDATES if name == OURS[1] else 1,
+                refine=name != OURS[0],
+                num_candidates=CANDIDATES if name == OURS[-1] else 1,
             )
             return [plan(*job[:3], seed=job.plan_seed) for job in jobs]
         return [straight_path(*job[:3], self.observer) for job in jobs]

@@ -151,7 +151,13 @@ class ActionConfig(_NetworkConfig):
 
 @dataclass(frozen=True)
 class PathPolicyConfig(ActionConfig):
-    """The shape of stage 2."""
+    """The shape of stage 2.
+
+    It executes one action of a chunk: what an arm makes of its commands is not known well enough to
+    send several blindly, and to mend that all at once shakes it.
+    """
+
+    execute: int = 1
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from .sections import (
     execution_section,
     optimum_section,
     planning_section,
+    single_scene_section,
     spectrum_section,
     table1_section,
     unseen_section,
@@ -50,6 +51,7 @@ KINDS = {
     "transfer": Kind("Transfer to another simulator", execution_section),
     "unseen": Kind("Table I's methods on held-out scenes", unseen_section),
     "table1": Kind("Table I of the paper", table1_section),
+    "single-scene": Kind("Table I, learned in its scene alone", single_scene_section),
     "spectrum": Kind(
         "The spectrum", spectrum_section, "Motions toward R, above, and G, and their cost"
     ),

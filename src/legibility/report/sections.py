@@ -9,6 +9,7 @@ from ..evaluation.contest import BASELINE, CANDIDATES, METHODS, OURS
 from ..evaluation.execution import ROWS
 from ..evaluation.eyes import EYES
 from ..evaluation.planning import PLACES, planner_text
+from ..evaluation.single_scene import ROWS as ROWS_OF_ONE_SCENE
 from .dials import REGIMES, goals_of, means, percent, scenes_of
 from .table import Bold, Part, Table, number, three_digits
 
@@ -47,6 +48,7 @@ _BY_OTHERS = (
     "the straight line's (RSS 2013); and detachment, L_d without a unit (Style-Conditioned "
     "Diffusion Policy, 2026). The dial is turned for the paper's observer."
 )
+_TEXTS = {name: method.text for name, method in METHODS.items()}
 _ARROWS = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
 _BENCH_CONDITIONS = ("mode", "scene", "batch", "goals", "dim", "precision")
@@ -247,6 +249,45 @@ def table1_section(document: dict[str, Any]) -> list[Part]:
     ]
 
 
+def single_scene_section(document: dict[str, Any]) -> list[Part]:
+    """Table I of methods that learned in its scene alone, over the best demonstrations."""
+    config, result = document["config"], document["result"]
+    cells = [(letter, metric) for letter in TARGETS for metric in TESTED]
+    heads = [f"target {t}: {MOTION_METRICS[m]} {_ARROWS[m]}" for t, m in cells]
+    table, best = Table("method", "success", *heads), result["demonstrated"]
+    for name, method in result["methods"].items():
+        targets = method["targets"]
+        success = min(entry["success"]["mean"] for entry in targets.values())
+        row = [
+            _bold_if_better(result, _over(targets[t][m]["mean"], best[t][m]), f"{t} {m}", name)
+            for t, m in cells
+        ]
+        table.add_row(ROWS_OF_ONE_SCENE[name], percent(success), *row)
+    curves = (_over(best[t][m], best[t][m]) for t, m in cells)
+    table.add_row("the best demonstrated path", "–", *curves)
+    chosen = Table("method", "target", "chosen", "tried", left=range(3))
+    for letter, methods in result["tuning"].items():
+        for name, tuned in methods.items():
+            values = (f"{key.replace('_', ' ')} {v:g}" for key, v in tuned["chosen"].items())
+            chosen.add_row(
+                ROWS_OF_ONE_SCENE[name], letter, ", ".join(values), str(len(tuned["tried"]))
+            )
+    return [
+        f"As in the paper every method learns in the table's scene alone: from "
+        f"{config['demonstrations']} demonstrations toward either target, flat along ℓ, "
+        f"{config['training_steps']:,} steps of {config['batch']} a network (seed "
+        f"{document['seed']}). {config['rollouts']} rollouts toward either target in "
+        f"{result['env']}, ℓ = 1; success is that of the worse target. Brackets hold the ratio to "
+        "the best of the demonstrated paths in that metric.",
+        table,
+        f"Guidance is chosen for either target by {config['tuning_rollouts']} motions of other "
+        "robots: the modulator's by the highest mean L_d, Legibility Diffuser's by that or by the "
+        "lowest L_p, of those settings with which 99 % arrive, or as many as with any.",
+        chosen,
+        _tests(result, [" ".join(cell) for cell in cells], ROWS_OF_ONE_SCENE),
+    ]
+
+
 def _over(value: float, oracle: float) -> str:
     return f"{three_digits(value)} ({value / oracle:.2f})"
 
@@ -326,16 +367,19 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
     ]
 
 
-def _tests(result: dict[str, Any], cells: list[str]) -> Table:
-    """The modulator's rows against all other methods: effect and adjusted p in each cell."""
+def _tests(result: dict[str, Any], cells: list[str], texts: dict[str, str] = _TEXTS) -> Table:
+    """The modulator's rows against all other methods: effect and adjusted p in each cell.
+
+    `texts` are those of the methods.
+    """
     heads = [": ".join([*c.split()[:-1], MOTION_METRICS[c.split()[-1]]]) for c in cells]
     table = Table("ours", "against", *heads, left=range(2))
     tests = {(t["cell"], t["method"], t["against"]): t for t in result["tests"]}
-    others = [name for name in METHODS if name not in OURS]
-    for ours, text in zip(OURS, ("one path", f"best of {CANDIDATES}"), strict=True):
-        for name in others:
-            verdicts = (_verdict(tests[cell, ours, name]) for cell in cells)
-            table.add_row(text, METHODS[name].text, *verdicts)
+    for ours, own in zip(OURS, ("network alone", "one path", f"best of {CANDIDATES}"), strict=True):
+        for name in result["methods"]:
+            if ours in result["methods"] and name not in OURS:
+                verdicts = (_verdict(tests[cell, ours, name]) for cell in cells)
+                table.add_row(own, texts[name], *verdicts)
     return table
 
 

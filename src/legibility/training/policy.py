@@ -1,6 +1,6 @@
 """Training of stage 2 and of the baselines' policy, and the tuning of the baselines' guidance."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import product
 from typing import Any
@@ -20,6 +20,7 @@ from ..drivers import Driver, Policy
 from ..envs import vector_type
 from ..envs.fleet import Fleet
 from ..errors import InvalidInputError
+from ..intent.observer import Observer
 from ..models.configuration import GoalPolicyConfig, PathPolicyConfig
 from ..models.diffusion import noised
 from ..models.goal_policy import GoalPolicy, goal_features
@@ -220,9 +221,8 @@ def validate_policy(model: PathPolicy, validation: Dataset, paths: int = 2) -> d
     }
 
 
-def _guided_rollouts(model: GoalPolicy, validation: Dataset) -> list[Rollout]:
-    """One closed-loop motion in each scene of `validation`."""
-    scenes, observer = validation.scenes, validation.config.observer
+def _guided_rollouts(model: GoalPolicy, scenes: list[Scene], observer: Observer) -> list[Rollout]:
+    """One closed-loop motion to goal 0 of each of `scenes`."""
     paths = [straight_path(scene, 0, 0.0, observer) for scene in scenes]
     return _rollouts(
         model, lambda m: GuidedPolicy(m, scenes, [0] * len(paths), seed=0), paths, scenes
@@ -231,7 +231,7 @@ def _guided_rollouts(model: GoalPolicy, validation: Dataset) -> list[Rollout]:
 
 def validate_goal(model: GoalPolicy, validation: Dataset) -> dict[str, float]:
     """Rollouts in the scenes of `validation`: success, steps, and length over the straight line."""
-    rollouts = _guided_rollouts(model, validation)
+    rollouts = _guided_rollouts(model, validation.scenes, validation.config.observer)
     straight = [np.linalg.norm(np.diff(r.path.waypoints[[0, -1]], axis=0)) for r in rollouts]
     lengths = [np.linalg.norm(np.diff(r.states, axis=0), axis=-1).sum() for r in rollouts]
     return {
@@ -253,28 +253,55 @@ def tune_guidance(
     validation: Dataset,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[dict[str, float], list[dict[str, float]]]:
-    """The best of all combinations of `GUIDANCE` on the scenes of `validation`.
-
-    The best has the highest mean achieved ℓ among those that reach the goal in 99 % of the scenes,
-    or as often as any does.
+    """The best of all combinations of `GUIDANCE` by the achieved ℓ on the scenes of `validation`.
 
     Returns:
         The chosen settings, and the `success` and mean `achieved` ℓ of every combination.
     """
+
+    def worth(rollouts: list[Rollout]) -> dict[str, float]:
+        knots = validation.score_at_label
+        pairs = zip(rollouts, knots, strict=True)
+        achieved = [np.interp(rollout.score, row, LABEL_KNOTS) for rollout, row in pairs]
+        return {"achieved": float(np.mean(achieved))}
+
+    scenes, observer = validation.scenes, validation.config.observer
+    rows = try_guidance(model, scenes, observer, GUIDANCE, worth, progress)
+    return best_guidance(rows, lambda row: row["achieved"]), rows
+
+
+def try_guidance(
+    model: GoalPolicy,
+    scenes: list[Scene],
+    observer: Observer,
+    grid: Mapping[str, Sequence[float]],
+    worth: Callable[[list[Rollout]], dict[str, float]],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[dict[str, float]]:
+    """Every combination of the values of `grid`, with its `success` and its `worth`.
+
+    `worth` is of a motion to goal 0 in each of `scenes`.
+    """
     rows = []
-    combinations = [dict(zip(GUIDANCE, v, strict=True)) for v in product(*GUIDANCE.values())]
+    combinations = [dict(zip(grid, v, strict=True)) for v in product(*grid.values())]
     plain = model.config
     for done, settings in enumerate(combinations):
         model.config = replace(plain, **settings)
-        rollouts = _guided_rollouts(model, validation)
-        achieved = [
-            np.interp(rollout.score, knots, LABEL_KNOTS)
-            for rollout, knots in zip(rollouts, validation.score_at_label, strict=True)
-        ]
+        rollouts = _guided_rollouts(model, scenes, observer)
         success = float(np.mean([r.success for r in rollouts]))
-        rows.append({**settings, "success": success, "achieved": float(np.mean(achieved))})
+        rows.append({**settings, "success": success, **worth(rollouts)})
         progress(done + 1, len(combinations))
     model.config = plain
+    return rows
+
+
+def best_guidance(
+    rows: list[dict[str, float]], worth: Callable[[dict[str, float]], float]
+) -> dict[str, float]:
+    """The settings of the row of highest `worth` that reaches the goal in 99 % of the scenes.
+
+    Or as often as any does.
+    """
     enough = min(_SUCCESS, max(row["success"] for row in rows))
-    best = max((row for row in rows if row["success"] >= enough), key=lambda r: r["achieved"])
-    return {name: best[name] for name in GUIDANCE}, rows
+    best = max((row for row in rows if row["success"] >= enough), key=worth)
+    return {name: best[name] for name in GUIDANCE if name in best}

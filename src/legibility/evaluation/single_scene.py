@@ -1,0 +1,273 @@
+"""Table I as the paper has it: every method learns in the table's scene alone, from the same data.
+
+Diffusion Policy, Legibility Diffuser and both stages of the modulator learn from demonstrations
+toward R and G; what each has to choose is then tuned for either target.
+"""
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..curves import path_curve
+from ..data.configuration import DatasetConfig, DemonstrationsConfig
+from ..data.dataset import Dataset, generate
+from ..data.demonstrations import Demonstrations, demonstrate
+from ..envs import environment_dim, vector_type
+from ..intent.metrics import SCORE_POINTS
+from ..models.goal_policy import GoalPolicy
+from ..models.path_diffuser import PathDiffuser
+from ..models.path_policy import PathPolicy
+from ..modulator import Modulator
+from ..motion.archive import Archive
+from ..parallel import pool
+from ..rollout import Rollout
+from ..training.configuration import PathTrainingConfig, PolicyTrainingConfig
+from ..training.loop import Run
+from ..training.path import train_path
+from ..training.policy import best_guidance, train_policy, try_guidance
+from ..training.team import Team
+from .common import world
+from .comparison import (
+    METRICS,
+    SCENES,
+    TARGETS,
+    TESTED,
+    TableScene,
+    measured,
+    table_archives,
+    table_jobs,
+    table_of,
+)
+from .configuration import SingleSceneConfig
+from .contest import BASELINE, METHODS, Contest, Job
+
+GUIDED = "legibility diffuser"
+_TUNED_FOR = {GUIDED: "distance_score", f"{GUIDED}, L_p": "potential_cost"}
+ROWS = {
+    "straight line": METHODS["straight line"].text,
+    BASELINE: METHODS[BASELINE].text,
+    **{row: f"{METHODS[GUIDED].text}, tuned for {METRICS[m]}" for row, m in _TUNED_FOR.items()},
+    "network": METHODS["network"].text,
+    "modulator": METHODS["modulator"].text,
+}
+"""The compared methods. Legibility Diffuser has two rows, because its best L_d is not its best L_p:
+far from the other goal is not where the goal is clear."""
+
+GUIDANCE = {
+    "guidance": (2.5, 5.0, 7.5, 10.0, 15.0, 25.0, 40.0),
+    "guidance_decay": (0.4, 0.6, 0.8, 0.9, 0.95, 1.0),
+    "guidance_share": (0.5, 0.9, 1.0),
+}
+"""The settings of Legibility Diffuser to try: with one scene its weight may be large."""
+
+OWN_GUIDANCE = (0.0, 0.3, 1.0, 2.0, 4.0)
+"""The weights of stage 1's guidance to try."""
+
+_TRAJECTORIES = 8  # of a scene in a batch of stage 1
+
+
+class Learned(NamedTuple):
+    """What one scene's data have taught."""
+
+    plain: GoalPolicy
+    guided: GoalPolicy  # of the row that is executed
+    path: PathDiffuser
+    policy: PathPolicy
+
+
+def evaluate_single_scene(
+    folder: str | Path,
+    config: SingleSceneConfig | None = None,
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    progress: Callable[[int, int, str], None] = lambda done, total, line: None,
+) -> dict[str, Any]:
+    """Make the data, train and tune all methods, and execute them, in the scene of Table I.
+
+    Interrupted, the same call resumes: data and trainings in `folder` are kept.
+
+    Args:
+        folder: of the data and of each training's checkpoint and log.
+        config: the settings.
+        workers, cluster: see `pool`; the result does not depend on them.
+        progress: called with the steps and rollouts done, that of all, and a line where something
+            is finished.
+
+    Returns:
+        `methods`, `tests`, `scene`, `spacing` and `unit` as of `evaluate_table1`; `demonstrated`:
+        toward either target the best value of each of `METRICS` among the demonstrated paths;
+        `tuning`: toward either target what was chosen for `ROWS`, and all that was tried;
+        `training`: of each network the seconds, the parameters and the last metrics; `data`: the
+        digests of the data and of the demonstrations.
+
+    Raises:
+        CheckpointError: the folder holds runs with other settings.
+        DatasetError: the folder holds data with other settings.
+    """
+    config, folder = config or SingleSceneConfig(), Path(folder)
+    kind = vector_type(config.env, environment_dim(config.env))
+    place = SCENES[kind.dim]
+    tried = len(OWN_GUIDANCE) + int(np.prod([len(values) for values in GUIDANCE.values()]))
+    total = 4 * config.training_steps + 2 * (tried * config.tuning_rollouts)
+    total += len(ROWS) * len(TARGETS) * config.rollouts
+    done = 0
+
+    def part(size: int) -> Callable[..., None]:
+        """The progress of the next part, of `size` steps or rollouts."""
+        nonlocal done
+        start, done = done, done + size
+        return lambda now, of, *_: progress(start + size * now // max(of, 1), total, "")
+
+    data, validation, shown = _data(folder, place, config, workers, cluster)
+    models, training = _trained(folder, config, data, validation, shown, part)
+    archives, jobs = table_archives(_modulator(models), place), table_jobs(place, config)
+    motions: dict[tuple[str, str], list[Rollout]] = {}
+    tuning: dict[str, Any] = {}
+    with pool(workers, cluster) as each:
+        for letter, target in TARGETS.items():
+            tuned, tuning[letter] = _tuned(
+                models, data, target, archives[letter], config, place, part
+            )
+            for row in ROWS:
+                own = tuned.get(row, tuned["network"])
+                policies = {BASELINE: own.plain, GUIDED: own.guided}
+                contest = Contest(_modulator(own), policies, kind, (1, 1))
+                work = [(GUIDED if row in _TUNED_FOR else row, jobs[letter], [])]
+                (motions[row, letter],) = contest.motions(work, each, part(config.rollouts))
+            progress(done, total, f"toward {letter}: all rows executed")
+    return {
+        **table_of(place, archives, motions, {}),
+        "env": world(kind),
+        "demonstrated": {
+            letter: _best(data, shown, target, archives[letter], place)
+            for letter, target in TARGETS.items()
+        },
+        "tuning": tuning,
+        "training": training,
+        "data": {"paths": data.digest, "demonstrations": shown.digest},
+    }
+
+
+def _data(
+    folder: Path, place: TableScene, config: SingleSceneConfig, workers: int, cluster: str | None
+) -> tuple[Dataset, Dataset, Demonstrations]:
+    """Paths, others for validation, and the demonstrations of the former."""
+    source = DatasetConfig(
+        regime="paper", views=1, per_scene=config.demonstrations, seed=config.seed,
+        given=place.scene,
+    )  # fmt: skip
+    spread: dict[str, Any] = {"workers": workers, "cluster": cluster}
+    data = generate(source, folder / "data", **spread)
+    validation = generate(source.for_validation(), folder / "validation", **spread)
+    shown = DemonstrationsConfig(demonstrations=config.demonstrations)
+    return data, validation, demonstrate(folder / "data", shown, **spread)
+
+
+def _trained(
+    folder: Path,
+    config: SingleSceneConfig,
+    data: Dataset,
+    validation: Dataset,
+    shown: Demonstrations,
+    part: Callable[[int], Callable[..., None]],
+) -> tuple[Learned, dict[str, Any]]:
+    """All networks, trained on the same data, and how that went."""
+    steps, team = config.training_steps, Team.join("cpu")
+    common: dict[str, Any] = {"steps": steps, "seed": config.seed, "warmup": min(300, steps)}
+
+    def run(name: str) -> Run:
+        return Run(folder / name, team, part(steps))
+
+    def policy(stage: str, name: str, dropout: float) -> Any:
+        settings = PolicyTrainingConfig(**common, batch=config.batch, dropout=dropout)
+        return train_policy(shown, validation, run(name), settings, stage=stage)
+
+    per = min(_TRAJECTORIES, config.batch)
+    settings = PathTrainingConfig(**common, scenes=config.batch // per, per_scene=per)
+    trained = {
+        "plain": policy("goal", "diffusion-policy", 0.0),
+        "guided": policy("goal", "legibility-diffuser", 0.2),
+        "path": train_path(data, validation, run("path"), settings),
+        "policy": policy("policy", "policy", 0.1),
+    }
+    records = {
+        name: {
+            "seconds": t.record.seconds, "parameters": t.record.parameters,
+            "training": t.record.training, "last": t.metrics,
+        }
+        for name, t in trained.items()
+    }  # fmt: skip
+    models = {name: t.model.eval().requires_grad_(False) for name, t in trained.items()}
+    return Learned(**models), records
+
+
+def _modulator(models: Learned) -> Modulator:
+    return Modulator(models.path, models.policy, "single-scene")
+
+
+def _tuned(
+    models: Learned,
+    data: Dataset,
+    target: int,
+    archive: Archive,
+    config: SingleSceneConfig,
+    place: TableScene,
+    part: Callable[[int], Callable[..., None]],
+) -> tuple[dict[str, Learned], dict[str, Any]]:
+    """The models with what is best for a target, and what was tried, by the row of the table."""
+    number = config.tuning_rollouts
+    scenes = [data.scenes[target]] * number
+    tried = int(np.prod([len(values) for values in GUIDANCE.values()]))
+
+    def worth(rollouts: list[Rollout]) -> dict[str, float]:
+        rows = [measured(r.states, archive, place.spacing, place.unit) for r in rollouts]
+        return {metric: float(np.mean([row[metric] for row in rows])) for metric in TESTED}
+
+    rows = try_guidance(
+        models.guided, scenes, data.observers[target], GUIDANCE, worth, part(tried * number)
+    )
+    tuned, tuning = {}, {}
+    for name, metric in _TUNED_FOR.items():
+        chosen = best_guidance(rows, lambda row, m=metric: TESTED[m] * row[m])
+        guided = copy.copy(models.guided)
+        guided.config = replace(guided.config, **chosen)
+        tuned[name] = models._replace(guided=guided)
+        tuning[name] = {"chosen": chosen, "tried": rows}
+
+    kind, report = vector_type(config.env, place.scene.dim), part(len(OWN_GUIDANCE) * number)
+    jobs = [Job(place.scene, target, 1.0, seed, seed) for seed in range(number)]
+    rows = []
+    for done, weight in enumerate(OWN_GUIDANCE):
+        contest = Contest(_modulator(_guided_by(models, weight)), {}, kind, (1, 1))
+        with pool() as each:
+            (moved,) = contest.motions([("network", jobs, [])], each)
+        success = float(np.mean([r.success for r in moved]))
+        rows.append({"guidance": weight, "success": success, **worth(moved)})
+        report(done + 1, len(OWN_GUIDANCE))
+    chosen = best_guidance(rows, lambda row: row["distance_score"])
+    tuned["network"] = _guided_by(models, chosen["guidance"])
+    tuning["network"] = {"chosen": chosen, "tried": rows}
+    return tuned, tuning
+
+
+def _guided_by(models: Learned, weight: float) -> Learned:
+    """The models with another weight of stage 1's guidance."""
+    path = copy.copy(models.path)
+    path.config = replace(path.config, guidance=weight)
+    return models._replace(path=path)
+
+
+def _best(
+    data: Dataset, shown: Demonstrations, target: int, archive: Archive, place: TableScene
+) -> dict[str, float]:
+    """The best of each metric of the demonstrated paths toward a target."""
+    toward = np.isclose(shown.paths[:, -1], data.scenes[target].goals[0]).all(-1)
+    curves = path_curve(shown.paths[toward], SCORE_POINTS)
+    rows = [measured(curve, archive, place.spacing, place.unit) for curve in curves]
+    best = {"distance_score": max, "achieved": max}
+    return {name: best.get(name, min)(row[name] for row in rows) for name in METRICS}
