@@ -6,6 +6,8 @@ from legibility.evaluation.configuration import MODES
 from legibility.evaluation.contest import METHODS, OURS
 from legibility.evaluation.dial import LIMITS, METRICS
 from legibility.evaluation.execution import ROWS
+from legibility.evaluation.external import METHODS as EXTERNAL_PLANNERS
+from legibility.evaluation.external import METRICS as EXTERNAL_METRICS
 from legibility.evaluation.eyes import EYES
 from legibility.evaluation.single_scene import ROWS as ROWS_OF_ONE_SCENE
 
@@ -91,6 +93,18 @@ def optimum():
     }  # fmt: skip
 
 
+def external():
+    best = [{"share": 0.5, "legibility": summary(0.75)}, {"share": 0.0, "legibility": None},
+            {"share": 1.0, "legibility": summary(0.875)}]  # fmt: skip
+    method = {m: summary(0.125) for m in EXTERNAL_METRICS}
+    method |= {"ceiling": best + best[:2], "clear": best + best[:1]}
+    return {
+        "command": "legibility evaluate external --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 50, "regime": "obstacles", "goals": [2, 6], "levels": 11},
+        "result": {"methods": dict.fromkeys(EXTERNAL_PLANNERS, method)},
+    }  # fmt: skip
+
+
 def execution():
     rows = {}
     for number, name in enumerate(ROWS):
@@ -125,14 +139,15 @@ def transfer():
 
 
 def ablations():
-    names = ("spearman", "error", "at_1", "at_-1", "at_0", "length_ratio_at_0")
+    names = ("spearman", "error", "at_1", "at_-1", "length_ratio_at_0", "feasible", "waves")
     overall = {name: summary(0.5 + i / 100) for i, name in enumerate(names)}
     rows = {name: {"text": f"row {name}", "small_run": name == "b", "sha256": "a" * 64,
-                   "overall": overall, "plan_ms": 7.25} for name in "ab"}  # fmt: skip
+                   "overall": overall, "quick_error": summary(0.25),
+                   "plan_ms": 7.25} for name in "ab"}  # fmt: skip
     return {
         "command": "legibility evaluate ablations --seed 7", "seed": 7, "model": MODEL,
         "config": {"scenes": 50, "goals": [2, 6], "levels": 11, "samples": 4,
-                   "training_steps": 3000, "training_scenes": 3200},
+                   "training_steps": 3000, "batch_scenes": 64, "training_scenes": 3200},
         "result": {"rows": rows, "data": "d" * 64},
     }  # fmt: skip
 

@@ -105,10 +105,38 @@ def test_every_result_is_of_shipped_weights():
     assert files
     for file in files:
         content = read_json(file)
-        for model in [
-            content["model"], *content.get("baselines", []), *content["config"].get("weights", [])
-        ]:  # fmt: skip
-            assert model == {"name": model["name"], **hashes_of(model["name"])}, file.name
+        used = [*content.get("baselines", []), *content["config"].get("weights", [])]
+        for model in used + ([content["model"]] if "model" in content else []):
+            stages = set(model) - {"name"}
+            assert stages, file.name
+            shipped = hashes_of(model["name"])
+            assert {s: model[s] for s in stages} == {s: shipped[s] for s in stages}, file.name
+
+
+def test_prose_holds_no_other_measurement(results):
+    """What is measured stands in tables, which are rendered, but for the shares checked here."""
+    shares = []
+    for regime in ("dragan", "all"):
+        for model in ("block-reach-2d", "panda-block-reach"):
+            dial = results["dial"][f"{model}-{regime}"]["result"]
+            shares.append(round(100 * dial["degenerate"]["scenes"] / len(dial["scenes"])))
+    two, arm, *any_room = shares
+    prose = " ".join(README.split())
+    assert f"({two} % of them in 2-D, {arm} % on the Panda, " in prose
+    assert "{} and {} % with any room and observer)".format(*any_room) in prose
+    settings = {"README": {"3.11", "0.05"}, "training": {"0.05", "1.15"},
+                "method": {"0.15", "0.08", "2.5", "0.05", "0.02", "0.4"}}  # fmt: skip
+    for document in DOCUMENTS:
+        if document.stem == "results":
+            continue
+        text = re.sub(r"```.*?```|`[^`]*`", "", document.read_text(encoding="utf-8"), flags=re.S)
+        lines = text.splitlines()
+        if document.stem == "README":
+            lines = [line for line in lines if not line.startswith("|")]
+        numbers = set(re.findall(r"\b\d+\.\d+\b", "\n".join(lines)))
+        assert numbers <= settings.get(document.stem, set()), document
+        percentages = re.findall(r"\d+(?: and \d+)? ?%", "\n".join(lines))
+        assert len(percentages) == (3 if document.stem == "README" else 0), document
 
 
 def test_every_result_is_an_experiment():

@@ -27,8 +27,8 @@ _WEIGHTS = Path(legibility.__file__).parent / "weights"
 _MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
 """A module of each extra."""
 _PARALLEL = (
-    "dial", "eyes", "planning", "optimum", "execution", "table1", "unseen", "single-scene",
-    "ablations",
+    "dial", "eyes", "planning", "optimum", "external", "execution", "table1", "unseen",
+    "single-scene", "ablations",
 )  # fmt: skip
 """Evaluations with `--workers`, which does not change their metrics."""
 

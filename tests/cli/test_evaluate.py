@@ -1,11 +1,11 @@
-import functools
 import json
 from pathlib import Path
+
+import pytest
 
 from legibility.evaluation.dial import METRICS
 from legibility.evaluation.execution import ROWS
 from legibility.evaluation.eyes import EYES
-from legibility.training.configuration import PathTrainingConfig
 
 
 def test_dial(here, weights, cli, capsys):
@@ -79,11 +79,9 @@ def test_execution(here, executable, one_thread, cli, capsys):
 def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys):
     monkeypatch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
     monkeypatch.setattr("legibility.evaluation.ablations.plan_milliseconds", lambda *_, **__: 1.5)
-    few = functools.partial(PathTrainingConfig, scenes=4, per_scene=4)
-    monkeypatch.setattr("legibility.evaluation.ablations.PathTrainingConfig", few)
     flags = (
         "--scenes 1 --goals 2 --seed 1 --levels 3 --samples 1 --sampling-steps 1 --guidance 0"
-        " --training-steps 2 --training-scenes 2 --scene-numbers 4"
+        " --training-steps 2 --batch-scenes 4 --training-scenes 2 --scene-numbers 4"
     )
     words = f"evaluate ablations {flags} --out runs --json ablations-tiny.json --data"
     assert cli(words, dataset, "--model", weights) == 0
@@ -92,8 +90,11 @@ def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys)
     assert content["config"]["scene_numbers"] == [4]
     assert content["model"]["name"] == weights
     rows = content["result"]["rows"]
-    assert list(rows) == ["as-shipped", "steps-1", "guidance-0", "reference", "without-field",
-                          "rank-label", "scenes-4"]  # fmt: skip
+    assert list(rows) == [
+        "as-shipped", "reference", "guidance-0", "steps-1", "distilled", "without-label-loss",
+        "without-contact-loss", "without-jerk-loss", "without-field", "rank-label", "long-ways",
+        "scenes-4",
+    ]  # fmt: skip
     for row in rows.values():
         assert row["text"] in output.out
         assert f"{row['text']}: spearman " in output.err
@@ -104,6 +105,39 @@ def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys)
     monkeypatch.setattr("legibility.training.path.PathBatches.loss", None)
     assert cli(words, dataset, "--model", weights) == 0
     assert json.loads(Path("ablations-tiny.json").read_text()) == content
+
+
+def test_external(here, weights, cli, capsys):
+    flags = "--scenes 2 --goals 2 --levels 3 --seed 1"
+    assert cli(f"evaluate external {flags} --json external-tiny.json --model", weights) == 0
+    assert "Legibility Modulator, exact" in capsys.readouterr().out
+    content = json.loads(Path("external-tiny.json").read_text())
+    assert content["config"]["regime"] == "obstacles"
+    assert set(content["model"]) == {"name", "path"}
+    Path("mine.csv").write_text("x,y\n0,0.5\n0.4,0.9\n0.8,0.6\n")
+    words = "evaluate external --scene scene.yaml --trajectories mine.csv --levels 3 --json e.json"
+    assert cli(words, "--model", weights) == 0
+    assert "your trajectories" in capsys.readouterr().out
+    assert "yours" in json.loads(Path("e.json").read_text())["result"]["methods"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--scene scene.yaml", "--scene and --trajectories belong together"),
+        ("--trajectories mine.csv", "--scene and --trajectories belong together"),
+        ("--scene scene.yaml --trajectories none.csv", "none.csv"),
+        ("--scene scene.yaml --trajectories mine.csv --target 2", "target"),
+        ("--scene solid.yaml --trajectories solid.csv", "plans in 2D, the scene is 3D"),
+        ("--target 1", "--target belongs to --scene"),
+        ("--regime all", "regime must be one of dragan, rooms, obstacles"),
+        ("--levels 1", "levels must be"),
+    ],
+)
+def test_refuses_external(words, message, here, refused):
+    Path("mine.csv").write_text("x,y\n0,0.5\n0.8,0.6\n")
+    Path("solid.csv").write_text("x,y,z\n-0.2,-0.2,0.3\n0,0.1,0.02\n")
+    assert message in refused(f"evaluate external {words}")
 
 
 def test_single_scene(here, cli, one_thread, monkeypatch, capsys):

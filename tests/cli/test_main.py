@@ -44,6 +44,7 @@ def test_help_of_a_group(capsys):
         "planning",
         "execution",
         "table1",
+        "external",
         "single-scene",
         "unseen",
         "spectrum",
@@ -102,8 +103,9 @@ def test_help_of_a_verb(verb, flags, capsys):
 
 VERBS = [
     "plan", "execute", "score", "data", "bench", "report", "doctor",
-    *(f"evaluate {verb}" for verb in ("dial", "eyes", "planning", "optimum", "execution",
-                                      "table1", "single-scene", "unseen", "spectrum", "ablations")),
+    *(f"evaluate {verb}" for verb in ("dial", "eyes", "planning", "optimum", "external",
+                                      "execution", "table1", "single-scene", "unseen", "spectrum",
+                                      "ablations")),
 ]  # fmt: skip
 
 

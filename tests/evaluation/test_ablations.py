@@ -3,7 +3,6 @@
 import functools
 import json
 
-import numpy as np
 import pytest
 import torch
 
@@ -24,11 +23,11 @@ from legibility.training.loop import LOG
 TINY = PathDiffuserConfig(channels=(8,), condition=16, encoder_width=8, resolution=16)
 SHORT = AblationsConfig(
     scenes=1, goals=(2, 2), levels=3, samples=1, sampling_steps=(1,), guidance=(1.0,),
-    training_steps=2, training_scenes=2, scene_numbers=(2, 3),
+    training_steps=2, batch_scenes=4, training_scenes=2, scene_numbers=(2, 3),
 )  # fmt: skip
-ROWS = ["as-shipped", "steps-1", "guidance-1", "reference", "without-field", "rank-label",
-        "scenes-3"]  # fmt: skip
-SMALL = ROWS[3:]
+SMALL = ["reference", "distilled", "without-label-loss", "without-contact-loss",
+         "without-jerk-loss", "without-field", "rank-label", "long-ways", "scenes-3"]  # fmt: skip
+ROWS = ["as-shipped", "reference", "guidance-1", "steps-1", *SMALL[1:]]
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +55,6 @@ def small(coarsely):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
         patch.setattr("legibility.evaluation.ablations.plan_milliseconds", lambda *_, **__: 1.5)
-        few = functools.partial(PathTrainingConfig, scenes=4, per_scene=4)
-        patch.setattr("legibility.evaluation.ablations.PathTrainingConfig", few)
         patch.setattr(SceneStream, "archive", functools.cache(SceneStream.archive))
         yield
     torch.set_num_threads(threads)
@@ -73,26 +70,14 @@ def evaluated(model, data, small, tmp_path_factory):
     return folder, result, told
 
 
-class TestVariants:
-    def test_rows(self):
-        assert list(variants(SHORT, TINY)) == ROWS
-
-    def test_what_the_weights_are_like_anyway_is_no_row(self):
-        config = AblationsConfig(sampling_steps=(3, 4), guidance=(0.3, 0.0))
-        found = [name for name, v in variants(config, TINY).items() if not v.scenes]
-        assert found == ["as-shipped", "steps-4", "guidance-0"]
-
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"sampling_steps": (101,)}, "sampling_steps must be at most 100"),
-            ({"sampling_steps": (0,)}, "sampling_steps must be"),
-            ({"guidance": (np.nan,)}, "guidance must be finite"),
-        ],
-    )
-    def test_what_cannot_be_sampled(self, changes, message):
-        with pytest.raises(InvalidInputError, match=message):
-            variants(AblationsConfig(**changes), TINY)
+def test_variants():
+    rows = variants(SHORT)
+    assert list(rows) == ROWS
+    assert {name for name, row in rows.items() if row.run == "reference"} == {
+        "reference", "guidance-1", "steps-1"
+    }  # fmt: skip
+    assert rows["without-label-loss"].losses == {"score_weight": 0}
+    assert rows["scenes-3"].scenes == 3
 
 
 class TestEvaluate:
@@ -100,34 +85,55 @@ class TestEvaluate:
         _, result, _ = evaluated
         assert list(result["rows"]) == ROWS
         for name, row in result["rows"].items():
-            assert row["small_run"] == (name in SMALL)
+            assert row["small_run"] == (name != "as-shipped")
             assert set(COLUMNS) <= set(row["overall"]) <= set(METRICS)
+            assert 0 <= row["quick_error"]["mean"] <= 2
             assert row["plan_ms"] == 1.5
 
     def test_rows_are_of_the_weights_that_they_say(self, evaluated, model):
         _, result, _ = evaluated
         shipped = json.loads((model / "config.json").read_text())["path"]["sha256"]
         hashes = {name: row["sha256"] for name, row in result["rows"].items()}
-        assert [name for name in ROWS if hashes[name] == shipped] == ROWS[:3]
-        assert len({hashes[name] for name in SMALL}) == len(SMALL)
+        assert hashes["as-shipped"] == shipped
+        assert hashes["reference"] == hashes["guidance-1"] == hashes["steps-1"]
+        assert len({hashes[name] for name in SMALL} | {shipped}) == len(SMALL) + 1
 
     def test_small_runs_differ_in_what_they_say(self, evaluated, data):
         folder, _, _ = evaluated
         made = {}
         for name in SMALL:
             stages, training = load_stages(folder / name / "weights")
-            config = stages["path"].config
-            made[name] = (config.field, config.observer.label, training["path"].data["scenes"])
-            assert training["path"].training["steps"] == 2
-            if name != "rank-label":
-                assert training["path"].digest == f"{data.digest}[:{made[name][2]}]"
+            config, record = stages["path"].config, training["path"]
+            assert record.training["steps"] == 2
+            assert record.training["scenes"] == SHORT.batch_scenes
+            if name not in ("rank-label", "long-ways"):
+                assert record.digest == f"{data.digest}[:{record.data['scenes']}]"
             assert config.channels == TINY.channels
-        assert made == {
-            "reference": (True, "anchored", 2),
-            "without-field": (False, "anchored", 2),
-            "rank-label": (True, "rank", 2),
-            "scenes-3": (True, "anchored", 3),
+            plain = PathTrainingConfig()
+            losses = ("score_weight", "contact_weight", "jerk_weight")
+            made[name] = {
+                "data": record.data["scenes"], "efficiency": record.data["efficiency"],
+                "field": config.field, "label": config.observer.label,
+                "distilled": config.distilled,
+                "lost": {x for x in losses if not record.training[x]},
+            }  # fmt: skip
+            if not config.distilled:
+                kept = {x for x in losses if record.training[x] == getattr(plain, x)}
+                assert kept | made[name]["lost"] == set(losses)
+        reference = {"data": 2, "efficiency": 0.1, "field": True, "label": "anchored",
+                     "distilled": False, "lost": set()}  # fmt: skip
+        changes = {
+            "reference": {},
+            "distilled": {"distilled": True},
+            "without-label-loss": {"lost": {"score_weight"}},
+            "without-contact-loss": {"lost": {"contact_weight"}},
+            "without-jerk-loss": {"lost": {"jerk_weight"}},
+            "without-field": {"field": False},
+            "rank-label": {"label": "rank"},
+            "long-ways": {"efficiency": 1000},
+            "scenes-3": {"data": 3},
         }
+        assert made == {name: reference | change for name, change in changes.items()}
         assert Dataset.load(folder / "rank-data").scenes == data.scenes[: 2 * 2]
 
     def test_progress(self, evaluated):
@@ -137,7 +143,7 @@ class TestEvaluate:
         assert {total for _, total, _ in told} == {done[-1]}
         lines = [line for _, _, line in told if line]
         assert len(lines) == len(ROWS)
-        assert lines[4].startswith("small run without the field: spearman ")
+        assert lines[4].startswith("small run distilled into a student of one step: spearman ")
 
     def test_nothing_is_trained_twice(self, evaluated, model, data, small, monkeypatch):
         folder, result, _ = evaluated

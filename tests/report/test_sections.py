@@ -8,6 +8,7 @@ from legibility.evaluation.execution import ROWS
 from legibility.report.sections import (
     ablations_section,
     execution_section,
+    external_section,
     single_scene_section,
     spectrum_section,
     table1_section,
@@ -110,6 +111,18 @@ class TestTable1:
         verdict = tables_of(table1_section(document))[-1].rows[0][2]
         assert verdict == "worse, −0.25, p < 0.001"
         assert isinstance(verdict, Bold)
+
+
+def test_external():
+    table, bounded = tables_of(external_section(documents.external()))
+    assert table.rows[0][0] == "the shortest motion"
+    assert table.rows[-1][1] == "0.125"
+    assert bounded.rows[0][1:4] == ("0.750 (50%)", "–", "0.875")
+    document = documents.external()
+    document["result"]["methods"]["yours"] = document["result"]["methods"]["search"]
+    text = text_of(external_section(document))
+    assert text.startswith("A given scene; ")
+    assert "your trajectories" in [row[0] for row in tables_of(external_section(document))[1].rows]
 
 
 def test_single_scene():

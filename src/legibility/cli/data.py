@@ -154,7 +154,7 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
 def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list[Table]:
     facts = table(f"dataset {folder}", "", "", text_columns=2)
     content = config.to_dict()
-    observer, given = content.pop("observer"), content.pop("given")
+    observer, given = content.pop("observer"), content.pop("given", None)
     for name, value in {**content, **{key: observer[key] for key in _SCALE}}.items():
         facts.add_row(name, "..".join(map(str, value)) if isinstance(value, list) else str(value))
     facts.add_row("scene", "given" if given else "random")

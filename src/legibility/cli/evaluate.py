@@ -7,10 +7,13 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from ..errors import InvalidInputError
 from ..evaluation import configuration
+from ..scene import Scene
 from . import output
 from .options import MODEL, MODELS, OptionalText, OutputFile, Workers, flags, made
 from .report import result_figure
+from .trajectories import read_trajectories
 
 _Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
 _Eyes = Annotated[Any, arg(constructor=flags(configuration.EyesConfig))]
@@ -20,9 +23,14 @@ _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig)
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
 _Unseen = Annotated[Any, arg(constructor=flags(configuration.UnseenConfig))]
 _Spectrum = Annotated[Any, arg(constructor=flags(configuration.SpectrumConfig))]
+_External = Annotated[Any, arg(constructor=flags(configuration.ExternalConfig))]
 _SingleScene = Annotated[Any, arg(constructor=flags(configuration.SingleSceneConfig))]
 _Ablations = Annotated[Any, arg(constructor=flags(configuration.AblationsConfig))]
 _Model = Annotated[str, arg(help="name of shipped weights, or a folder")]
+_Scene = Annotated[Path | None, arg(metavar="FILE", help="scene of your trajectories")]
+_Trajectories = Annotated[
+    Path | None, arg(metavar="FILE", help="your motions to the target, a CSV file as of `score`")
+]
 _Json = Annotated[
     OutputFile, arg(help="the result with its command, seed, settings and weights, as JSON")
 ]
@@ -87,6 +95,33 @@ def optimum(
     _evaluate("optimum", settings, evaluation, model, json, workers=workers)
 
 
+def external(
+    evaluation: _External,
+    workers: Workers,
+    scene: _Scene = None,
+    target: Annotated[int, arg(help="with --scene, index of the intended goal")] = 0,
+    trajectories: _Trajectories = None,
+    model: _Model = MODEL,
+    json: _Json = None,
+) -> None:
+    """Rate the motions of all planners, and your own, by other people's definitions.
+
+    Dragan's legibility, confidence, detachment and L_d; and how legible a motion can be that may
+    not cost more, or must keep clear. Of random scenes, or with --trajectories of your motions in
+    --scene beside ours.
+    """
+    given = None
+    if (scene is None) != (trajectories is None):
+        raise InvalidInputError("--scene and --trajectories belong together")
+    if scene is not None and trajectories is not None:
+        place = Scene.load(scene)
+        given = place, place.check_target(target), read_trajectories(trajectories, place)
+    elif target:
+        raise InvalidInputError("--target belongs to --scene")
+    settings = configuration.ExternalConfig
+    _evaluate("external", settings, evaluation, model, json, workers=workers, given=given)
+
+
 def execution(
     evaluation: _Execution, workers: Workers, model: _Model = MODEL, json: _Json = None
 ) -> None:
@@ -143,10 +178,11 @@ def ablations(
     device: Annotated[OptionalText, arg(help="cpu or cuda; if not given, a GPU if any")] = None,
     json: _Json = None,
 ) -> None:
-    """Measure the dial of the weights under other samplers, and of small runs that lack a part.
+    """Measure what each part of stage 1 is worth, by small runs that lack it.
 
-    Small runs are trained in OUT: the reference, without the field, on rank labels, and on other
-    numbers of scenes. Interrupted, the same command resumes.
+    They are trained in OUT: the reference, with other samplers, its student, without each loss,
+    without the field, on rank labels, on data of any length, and on other numbers of scenes.
+    Interrupted, the same command resumes.
     """
     output.check_file(json, "JSON file")
     settings = made(configuration.AblationsConfig, evaluation)
@@ -186,7 +222,7 @@ def single_scene(
 _MODULES = {"table1": "comparison", "unseen": "comparison"}
 """The modules of evaluations that have another name."""
 
-_PLANS = ("dial", "eyes", "planning", "optimum")
+_PLANS = ("dial", "eyes", "planning", "optimum", "external")
 """Evaluations of scenes, by stage 1 alone unless the loop is closed."""
 
 
@@ -199,6 +235,7 @@ def _evaluate(
     figure: Path | None = None,
     workers: Workers | None = None,
     contestants: Contestants | None = None,
+    **more: Any,
 ) -> None:
     """Check everything, evaluate under a progress bar; write, print and draw the result."""
     output.check_figure(figure)
@@ -209,7 +246,7 @@ def _evaluate(
     from ..envs import environment_dim
     from ..modulator import Modulator
 
-    options: dict[str, Any] = dict(vars(workers)) if workers else {}
+    options: dict[str, Any] = more | (vars(workers) if workers else {})
     weights: dict[str, Any] = {}
     if contestants:
         names = {

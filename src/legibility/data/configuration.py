@@ -178,19 +178,19 @@ class DatasetConfig(SceneStream):
         return replace(self.given, goals=goals)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for the manifest."""
-        content = {f.name: getattr(self, f.name) for f in fields(self)}
+        """Plain values for the manifest; `given` only if it is."""
+        content = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "given"}
         plain = {"goals": list(self.goals), "observer": self.observer.to_dict()}
-        return {**content, **plain, "given": self.given and self.given.to_dict()}
+        return {**content, **plain, **({"given": self.given.to_dict()} if self.given else {})}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> DatasetConfig:
         """The inverse of `to_dict`; keys must match exactly."""
-        if strange := set(content) ^ {f.name for f in fields(cls)}:
+        if strange := (set(content) | {"given"}) ^ {f.name for f in fields(cls)}:
             raise DatasetError(f"dataset settings missing or unknown: {sorted(strange)}")
         try:
             observer = Observer.from_dict(content["observer"])
-            given = content["given"] and Scene.from_dict(content["given"])
+            given = Scene.from_dict(content["given"]) if "given" in content else None
             return cls(**{**content, "observer": observer, "given": given})
         except (TypeError, InvalidInputError) as cause:
             raise DatasetError(f"the settings of a dataset are not ours: {cause}") from cause

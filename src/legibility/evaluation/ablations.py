@@ -1,6 +1,6 @@
 """Ablations of stage 1: the dial without a part of it, or with more or less of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,11 +9,12 @@ from ..data.dataset import Dataset, generate
 from ..errors import InvalidInputError
 from ..files import file_hash
 from ..models.configuration import PathDiffuserConfig
-from ..models.pretrained import pretrained_folder, save_stage
+from ..models.pretrained import load_stages, pretrained_folder, save_stage
+from ..models.provenance import TeacherRecord
 from ..modulator import Modulator
-from ..training.configuration import FIXED_BY_DATA, PathTrainingConfig
+from ..training.configuration import FIXED_BY_DATA, DistillationConfig, PathTrainingConfig
 from ..training.loop import Run
-from ..training.path import check_data, train_path
+from ..training.path import check_data, distill_path, train_path
 from ..training.team import Team
 from .common import plan_milliseconds
 from .configuration import AblationsConfig
@@ -25,42 +26,64 @@ COLUMNS = {
     "at_1": "ℓ when asked 1",
     "at_-1": "ℓ when asked −1",
     "length_ratio_at_0": "length when asked 0",
+    "feasible": "touch nothing",
+    "waves": "waves",
 }
 """Headings of the dial's metrics in the table of the rows."""
 
+_LONG_WAYS = 1e3
+"""An `efficiency` of data that makes nothing of length."""
+
 
 class Variant(NamedTuple):
-    """A row: the given weights, sampled in some way, or a small run on `scenes` scenes."""
+    """A row: the given weights, or a small run, sampled in some way.
+
+    Attributes:
+        text: for tables.
+        run: name of the small run; none is that of the given weights.
+        scenes: of its training.
+        data: its data, `data`, `rank-data` or `long-data`.
+        losses: weights of the training that differ.
+        field: whether it sees the field.
+        student: whether it is the student of another small run, the reference.
+        steps, guidance: of the sampler.
+    """
 
     text: str
+    run: str = ""
+    scenes: int = 0
+    data: str = "data"
+    losses: Mapping[str, Any] = {}
+    field: bool = True
+    student: bool = False
     steps: int | None = None
     guidance: float | None = None
-    scenes: int | None = None
-    rank: bool = False
-    field: bool = True
 
 
-def variants(config: AblationsConfig, model: PathDiffuserConfig) -> dict[str, Variant]:
-    """The rows by name, without those that repeat the given weights or the reference.
-
-    Raises:
-        InvalidInputError: the model cannot be sampled so.
-    """
-    sampling = f"sampling steps {model.sampling_steps}, guidance {model.guidance:g}"
-    rows = {"as-shipped": Variant(f"the weights as they are: {sampling}")}
-    if not model.distilled:
-        for steps in config.sampling_steps:
-            if replace(model, sampling_steps=steps) != model:
-                rows[f"steps-{steps}"] = Variant(f"sampling steps {steps}", steps=steps)
-        for weight in config.guidance:
-            if replace(model, guidance=weight) != model:
-                rows[f"guidance-{weight:g}"] = Variant(f"guidance {weight:g}", guidance=weight)
+def variants(config: AblationsConfig) -> dict[str, Variant]:
+    """The rows by name."""
     size = config.training_scenes
-    rows["reference"] = Variant(f"small run: {size:,} training scenes", scenes=size)
-    rows["without-field"] = Variant("small run without the field", scenes=size, field=False)
-    rows["rank-label"] = Variant("small run on rank labels", scenes=size, rank=True)
+    plain = Variant(f"small run: {size:,} training scenes", "reference", size)
+    rows = {"as-shipped": Variant("the weights as they are"), "reference": plain}
+    for weight in config.guidance:
+        text = f"the same, guidance {weight:g}"
+        rows[f"guidance-{weight:g}"] = plain._replace(text=text, guidance=weight)
+    for steps in config.sampling_steps:
+        text = f"the same, sampling steps {steps}"
+        rows[f"steps-{steps}"] = plain._replace(text=text, steps=steps)
+
+    def small(name: str, text: str, **changes: Any) -> None:
+        rows[name] = plain._replace(text=f"small run{text}", run=name, **changes)
+
+    small("distilled", " distilled into a student of one step", student=True)
+    small("without-label-loss", " without the loss on labels", losses={"score_weight": 0.0})
+    small("without-contact-loss", " without the loss on contact", losses={"contact_weight": 0.0})
+    small("without-jerk-loss", " without the loss on jerk", losses={"jerk_weight": 0.0})
+    small("without-field", " without the field", field=False)
+    small("rank-label", " on rank labels", data="rank-data")
+    small("long-ways", " on data that do not prefer short ways", data="long-data")
     for number in sorted(set(config.scene_numbers) - {size}):
-        rows[f"scenes-{number}"] = Variant(f"small run: {number:,} training scenes", scenes=number)
+        small(f"scenes-{number}", f": {number:,} training scenes", scenes=number)
     return rows
 
 
@@ -77,7 +100,8 @@ def evaluate_ablations(
     """Measure the dial of each of `variants`, training the small runs among them.
 
     A small run has the network of `model` and the settings of `PathTrainingConfig`, apart from its
-    steps. Interrupted, the same call resumes: datasets and runs in `folder` are kept.
+    steps and batch, and is measured as its network draws: what a user gets is mended, and hides the
+    differences. Interrupted, the same call resumes: datasets and runs in `folder` are kept.
 
     Args:
         model: name of weights that came with the package, or a folder.
@@ -87,8 +111,8 @@ def evaluate_ablations(
 
     Returns:
         `rows`: of each variant its `text`, whether it is `small_run`, `sha256` of its weights,
-        `overall` of quick plans as of `evaluate_dial`, `plan_ms` on one core; `data`: digest of the
-        training data.
+        `overall` of bare plans as of `evaluate_dial`, `quick_error` of those that a user gets,
+        `plan_ms` on one core; `data`: digest of the training data.
 
     Raises:
         InvalidInputError: the data are of another observer than the model, or too few.
@@ -96,7 +120,7 @@ def evaluate_ablations(
     """
     config, folder = config or AblationsConfig(), Path(folder)
     network = Modulator.from_pretrained(model).config
-    rows = variants(config, network)
+    rows = variants(config)
     stream, label = data.config.stream, data.config.observer.label
     if (stream, label) != ("train", "anchored"):
         raise InvalidInputError(
@@ -105,15 +129,17 @@ def evaluate_ablations(
     check_data(network, data, data)
     team = Team.join(device)
     parts = {number: data.first(number) for number in {v.scenes for v in rows.values()} if number}
-    part_data, validation = parts[config.training_scenes].config, data.config.for_validation()
-    observer = replace(data.config.observer, label="rank")
+    source = parts[config.training_scenes].config
+    rank = {"observer": replace(source.observer, label="rank")}
     sources = {
-        "validation": validation,
-        "rank-data": replace(part_data, observer=observer),
-        "rank-validation": replace(validation, observer=observer),
+        "validation": source.for_validation(),
+        "rank-data": replace(source, **rank),
+        "rank-validation": replace(source.for_validation(), **rank),
+        "long-data": replace(source, efficiency=_LONG_WAYS),
     }
-    steps = config.training_steps * sum(bool(variant.scenes) for variant in rows.values())
-    total = steps + sum(s.scenes for s in sources.values()) + len(rows) * config.scenes
+    trained = {variant.run: variant for variant in rows.values() if variant.run}
+    total = config.training_steps * len(trained)
+    total += sum(s.scenes for s in sources.values()) + len(rows) * config.scenes
     done = 0
 
     def part(size: int) -> Callable[..., None]:
@@ -126,38 +152,49 @@ def evaluate_ablations(
         name: generate(source, folder / name, workers=workers, progress=part(source.scenes))
         for name, source in sources.items()
     }
-    network_settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
+    settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
     if network.distilled:  # a small run is sampled as a teacher is by default
         teacher = PathDiffuserConfig()
-        network_settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
-                             "guidance": teacher.guidance}  # fmt: skip
-    training = PathTrainingConfig(steps=config.training_steps)
+        settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
+                     "guidance": teacher.guidance}  # fmt: skip
+    common: dict[str, Any] = {"steps": config.training_steps, "scenes": config.batch_scenes}
+    weights = {"": pretrained_folder(model)}
+    for name, variant in trained.items():
+        run = Run(folder / name, team, part(config.training_steps))
+        learned = sets.get(variant.data, parts[variant.scenes])
+        checks = sets["rank-validation" if variant.data == "rank-data" else "validation"]
+        weights[name] = folder / name / "weights"
+        if variant.student:
+            model_of, records = load_stages(weights["reference"])
+            taught = model_of["path"]
+            record = TeacherRecord(
+                file_hash(weights["reference"] / "path.safetensors"),
+                taught.config.sampling_steps, taught.config.guidance, records["path"],
+            )  # fmt: skip
+            how = DistillationConfig(**common)
+            result = distill_path(taught, learned, checks, run, how, record)
+        else:
+            how = PathTrainingConfig(**common, **variant.losses)
+            own = {**settings, "field": variant.field}
+            result = train_path(learned, checks, run, how, **own)
+        save_stage(weights[name], "path", result.model, result.record)
     scene = config.stream(network.dim).scene(0)
-    result = {}
+    found = {}
     for name, variant in rows.items():
-        weights = pretrained_folder(model)
-        if variant.scenes:
-            run, weights = Run(folder / name, team, part(training.steps)), folder / name / "weights"
-            pair = parts[variant.scenes], sets["validation"]
-            if variant.rank:
-                pair = sets["rank-data"], sets["rank-validation"]
-            network_settings["field"] = variant.field
-            trained = train_path(*pair, run, training, **network_settings)
-            save_stage(weights, "path", trained.model, trained.record)
-        settings = config.dial(variant.steps, variant.guidance)
-        shown = part(config.scenes)
-        modulator = Modulator.from_pretrained(weights)
-        dial = evaluate_dial(modulator, settings, progress=shown)
-        overall = dial["overall"]["quick"]
-        result[name] = {
+        modulator = Modulator.from_pretrained(weights[variant.run])
+        how = config.dial(variant.steps, variant.guidance)
+        dial = evaluate_dial(modulator, how, workers=workers, progress=part(config.scenes))
+        overall = dial["overall"]["bare"]
+        found[name] = {
             "text": variant.text,
-            "small_run": bool(variant.scenes),
-            "sha256": file_hash(weights / "path.safetensors"),
+            "small_run": bool(variant.run),
+            "sha256": file_hash(weights[variant.run] / "path.safetensors"),
             "overall": overall,
+            "quick_error": dial["overall"]["quick"]["error"],
             "plan_ms": plan_milliseconds(
                 modulator, scene, guidance=variant.guidance, steps=variant.steps
             ),
         }
         metrics = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
         progress(done, total, f"{variant.text}: {', '.join(metrics)}")
-    return {"rows": result, "data": data.digest}
+    return {"rows": found, "data": data.digest}

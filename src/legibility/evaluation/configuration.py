@@ -165,6 +165,24 @@ class PlanningConfig:
 
 
 @dataclass(frozen=True)
+class ExternalConfig(HeldOutScenes):
+    """Settings of the evaluation.
+
+    Attributes:
+        levels: levels of ℓ at equal steps from 0 to 1, of which the best within a bound counts.
+    """
+
+    scenes: int = 100
+    regime: str = "obstacles"
+    levels: int = 11
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_counts(self, levels=2)
+        self._check_regime(("dragan", "rooms", "obstacles"))
+
+
+@dataclass(frozen=True)
 class ExecutionConfig(HeldOutScenes):
     """Settings of the evaluation.
 
@@ -290,9 +308,10 @@ class AblationsConfig(HeldOutScenes):
     Attributes:
         levels: levels of ℓ at equal steps from −1 to 1.
         samples: paths drawn for a level.
-        sampling_steps: of the sampler, each with the shipped weights.
-        guidance: weights of classifier-free guidance at ±1, each with the shipped weights.
+        sampling_steps: of the sampler, each with the first small run.
+        guidance: weights of classifier-free guidance at ±1, each with the first small run.
         training_steps: optimiser steps of each small run.
+        batch_scenes: scenes in a batch of them.
         training_scenes: scenes of the small runs' training.
         scene_numbers: other numbers of scenes, a small run each.
     """
@@ -300,14 +319,15 @@ class AblationsConfig(HeldOutScenes):
     scenes: int = 50
     levels: int = 11
     samples: int = 4
-    sampling_steps: tuple[int, ...] = (1, 2, 4, 8, 100)
-    guidance: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0)
-    training_steps: int = 3000
-    training_scenes: int = 3200
-    scene_numbers: tuple[int, ...] = (200, 800, 12800)
+    sampling_steps: tuple[int, ...] = (1, 10)
+    guidance: tuple[float, ...] = (0.0, 1.0)
+    training_steps: int = 2000
+    batch_scenes: int = 64
+    training_scenes: int = 800
+    scene_numbers: tuple[int, ...] = (200, 3200)
 
     def __post_init__(self) -> None:
-        _check_counts(self, training_steps=1, training_scenes=1)
+        _check_counts(self, training_steps=1, batch_scenes=1, training_scenes=1)
         for number in self.scene_numbers:
             count("scene_numbers", number)
         self.dial()  # checks the rest
@@ -316,5 +336,5 @@ class AblationsConfig(HeldOutScenes):
         """How a row is measured, `steps` and `guidance` of the sampler as in `DialConfig`."""
         return DialConfig(
             self.scenes, self.regime, self.goals, self.seed, self.levels, self.samples,
-            modes=("quick",), candidates=0, guidance=guidance, steps=steps,
+            modes=("bare", "quick"), candidates=0, guidance=guidance, steps=steps,
         )  # fmt: skip

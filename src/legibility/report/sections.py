@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from ..evaluation import external
 from ..evaluation.ablations import COLUMNS
 from ..evaluation.comparison import EXTERNAL, TARGETS, TESTED, paper_rows
 from ..evaluation.comparison import METRICS as MOTION_METRICS
@@ -63,13 +64,17 @@ _VIOLATIONS = {
 def ablations_section(document: dict[str, Any]) -> list[Part]:
     """The dial under other samplers, and of small runs that lack a part."""
     config = document["config"]
-    table = Table("change", *COLUMNS.values(), "one plan [ms]")
+    table = Table("change", *COLUMNS.values(), "error of ℓ, mended", "one plan [ms]")
     for row in document["result"]["rows"].values():
-        table.add_row(row["text"], *means(row["overall"], COLUMNS), number(row["plan_ms"], 1))
+        cells = means(row["overall"], COLUMNS), means(row, ["quick_error"])
+        table.add_row(row["text"], *cells[0], *cells[1], number(row["plan_ms"], 1))
     return [
         f"Means over {scenes_of(document)}, {config['levels']} levels of ℓ, {config['samples']} "
-        f"samples of each. Small runs have only {config['training_steps']:,} training steps; "
-        "compare them with the first small run. On rank labels ℓ = 0 is not the straight line.",
+        "samples of each, as the network draws them; the column before the last is of the plans "
+        f"that a user gets. Small runs have only {config['training_steps']:,} training steps of "
+        f"{config['batch_scenes']} scenes; compare them with the first one. The loss on labels is "
+        "a differentiable form of the error reported here. On rank labels ℓ = 0 is not the "
+        "straight line.",
         table,
     ]
 
@@ -181,6 +186,38 @@ def optimum_section(document: dict[str, Any]) -> list[Part]:
         "length can score more, but none may score as much. The length is over the straight "
         "line's.",
         table,
+    ]
+
+
+def external_section(document: dict[str, Any]) -> list[Part]:
+    """Motions by other people's definitions, and the most legible within a bound."""
+    methods = document["result"]["methods"]
+    texts = external.METHODS | {external.YOURS: "your trajectories"}
+    table = Table("method", *external.METRICS.values())
+    heads = [f"length ≤ {c:g}" for c in external.LENGTHS]
+    heads += [f"clear by {c:g}" for c in external.CLEARANCES]
+    bounded = Table("method", *heads)
+    for name, method in methods.items():
+        table.add_row(texts[name], *means(method, external.METRICS, 3))
+        cells = []
+        for best in (*method["ceiling"], *method["clear"]):
+            share = "" if best["share"] == 1 else f" ({best['share']:.0%})"
+            cells.append(number(best["legibility"]["mean"], 3) + share if best["share"] else "–")
+        bounded.add_row(texts[name], *cells)
+    levels = document["config"]["levels"]
+    scene = "A given scene" if external.YOURS in methods else scenes_of(document)
+    return [
+        f"{scene}; planned motions with ℓ = 1 for Dragan's observer, means. The legibility that "
+        "Dragan's observer sees (HRI 2013), β over the scene's size; the share of the motion after "
+        "which that observer (β = 20) is confident; detachment (Style-Conditioned Diffusion "
+        "Policy, 2026) and L_d; the length over the shortest motion's; the least clearance over "
+        "the scene's size, but for the first and the last tenth.",
+        table,
+        f"The highest legibility (β = 20) of {levels} motions from ℓ = 0 to 1 under a ceiling on "
+        "the length over the shortest (RSS 2013 bounds the cost), and under a bound on the "
+        "clearance over the scene's size; in brackets the share of scenes in which there is such "
+        "a motion, if not all.",
+        bounded,
     ]
 
 
