@@ -21,12 +21,18 @@ def paths(bend=0.2):
     return np.stack([right, np.stack([0 * t, t], axis=-1)])
 
 
-def states(rows=(0, 1), bend=0.2, moved=0.0):
+def states(rows=(0, 1), bend=0.2, moved=0.0, idle=0):
     """The robots of `rows` at the starts of their paths, or `moved` [m] along the first axis."""
     rows, curves = np.array(rows), paths(bend)
     tracker = PathTracker(curves, LIMIT, WORKSPACE).of(rows)
     starts = curves[rows, 0]
-    return RobotStates(rows, starts + np.array([moved, 0]), starts, curves[rows, -1], tracker)
+    positions, waited = starts + np.array([moved, 0]), np.full(len(rows), idle)
+    return RobotStates(rows, positions, starts, curves[rows, -1], tracker, waited)
+
+
+def drawn(driver, robots):
+    """The chunks of the robots in one array."""
+    return np.stack(list(driver(robots)))
 
 
 @pytest.fixture(scope="module")
@@ -42,30 +48,36 @@ class TestPolicy:
     def test_a_chunk_for_each_robot_that_asks(self, network):
         driver = Policy(network)
         assert driver.with_path
-        assert driver(states()).shape == (2, 3, 2)
-        assert driver(states((1,))).shape == (1, 3, 2)
+        assert drawn(driver, states()).shape == (2, 3, 2)
+        assert drawn(driver, states((1,))).shape == (1, 3, 2)
+
+    def test_a_robot_that_is_held_gets_half_a_chunk(self, network):
+        driver, waiting, held = Policy(network), states(idle=4), states(idle=5)
+        assert drawn(driver, waiting).shape == (2, 3, 2)
+        assert drawn(driver, held).shape == (2, 4, 2)
+        np.testing.assert_array_equal(drawn(driver, held)[:, :3], drawn(driver, waiting))
 
     def test_the_same_state_gives_the_same_actions(self, network):
         driver = Policy(network)
-        actions = driver(states())
+        actions = drawn(driver, states())
         torch.manual_seed(7)  # which is no one's concern
-        np.testing.assert_array_equal(actions, driver(states()))
-        assert np.abs(actions - driver(states(moved=0.01))).max() > 1e-4
+        np.testing.assert_array_equal(actions, drawn(driver, states()))
+        assert np.abs(actions - drawn(driver, states(moved=0.01))).max() > 1e-4
 
     def test_it_sees_the_path(self, network):
-        bent, straight = (Policy(network)(states(bend=bend)) for bend in (0.2, 0.0))
+        bent, straight = (drawn(Policy(network), states(bend=bend)) for bend in (0.2, 0.0))
         assert np.abs(bent - straight)[0].max() > 1e-4
         np.testing.assert_allclose(bent[1], straight[1], atol=1e-6)
 
     def test_without_the_path_it_sees_the_goal_alone(self, network):
         blind = [Policy(network, with_path=False) for _ in range(2)]
         assert not blind[0].with_path
-        bent, straight = (d(states(bend=b)) for d, b in zip(blind, (0.2, 0.0), strict=True))
+        bent, straight = (drawn(d, states(bend=b)) for d, b in zip(blind, (0.2, 0.0), strict=True))
         np.testing.assert_array_equal(bent, straight)
 
     def test_steps_of_the_sampler(self, network):
-        own, more = (Policy(network, steps)(states()) for steps in (None, 20))
-        same = Policy(network, network.config.sampling_steps)(states())
+        own, more = (drawn(Policy(network, steps), states()) for steps in (None, 20))
+        same = drawn(Policy(network, network.config.sampling_steps), states())
         np.testing.assert_array_equal(own, same)
         assert np.abs(own - more).max() > 1e-4
 

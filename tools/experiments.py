@@ -13,6 +13,7 @@ import re
 import shlex
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -113,7 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if experiment.command.startswith(tuple(f"evaluate {verb}" for verb in _PARALLEL)):
                 command += ["--workers", str(options.workers)]
             print(shlex.join(command), flush=True)
+            started = time.monotonic()
             run = subprocess.run([sys.executable, "-m", *command], check=False)
+            print(f"{name}: {time.monotonic() - started:.0f} s", flush=True)
             if run.returncode:
                 failed.append(name)
     if failed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from .models.onnx import OnnxPathPolicy
 
 
+_HELD = 5
+"""Steps without progress after which a robot counts as held."""
+
+
 @dataclass(frozen=True, eq=False)
 class RobotStates:
     """The robots that need their next actions, `N` of the `B` that are executed together.
@@ -26,6 +31,7 @@ class RobotStates:
         previous: `(N, D)` [m], one step before.
         goals: `(N, D)` [m], the intended goals.
         tracker: their places on their paths.
+        idle: `(N,)`, steps since they came nearer to their goals along the path.
     """
 
     rows: NDArray[np.intp]
@@ -33,6 +39,7 @@ class RobotStates:
     previous: Array
     goals: Array
     tracker: PathTracker
+    idle: NDArray[np.intp]
 
 
 class Driver(Protocol):
@@ -44,27 +51,33 @@ class Driver(Protocol):
 
     with_path: bool
 
-    def __call__(self, robots: RobotStates) -> Array:
-        """`(N, C, D)` [m], the next C displacements of each robot."""
+    def __call__(self, robots: RobotStates) -> Iterable[Array]:
+        """The next displacements of each robot, N times `(C, D)` [m]."""
         ...
 
 
 class Policy:
-    """Stage 2; with `with_path=False` it sees only the goal."""
+    """Stage 2; with `with_path=False` it sees only the goal.
+
+    A robot that its first action holds in place, as at a hairpin, executes half a chunk.
+    """
 
     def __init__(
         self, model: PathPolicy | OnnxPathPolicy, steps: int | None = None, with_path: bool = True
     ) -> None:
         self.model, self.steps, self.with_path = model, steps, with_path
 
-    def __call__(self, robots: RobotStates) -> Array:
+    def __call__(self, robots: RobotStates) -> Iterable[Array]:
         """See `Driver`."""
         config = self.model.config
         observation = Observation.of(
             robots.positions, robots.previous, robots.goals, config.limit,
             robots.tracker if self.with_path else None,
         )  # fmt: skip
-        return self.model.act(observation, self.steps)[:, : config.execute]
+        chunks = self.model.act(observation, self.steps)
+        long = max(config.execute, config.chunk // 2)
+        number = np.where(robots.idle < _HELD, config.execute, long)
+        return [chunk[:n] for chunk, n in zip(chunks, number, strict=True)]
 
 
 class Feedback:

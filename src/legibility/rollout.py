@@ -186,7 +186,7 @@ class _Run:
         if len(rows):
             robots = RobotStates(
                 rows, self.positions[rows], self.previous[rows], self.goals[rows],
-                self.tracker.of(rows),
+                self.tracker.of(rows), self.idle[rows],
             )  # fmt: skip
             for row, chunk in zip(rows, self.driver(robots), strict=True):
                 self.chunks[row] = chunk

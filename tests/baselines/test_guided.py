@@ -34,7 +34,9 @@ def act(driver, rows=(0, 1)):
     starts = np.stack([s.start for s in SCENES])
     goals = np.stack([s.goals[0] for s in SCENES])
     tracker = PathTracker(np.zeros((2, 10, 2)), 0.05, SCENES[0].workspace)
-    return driver(RobotStates(rows, starts[rows], starts[rows], goals[rows], tracker.of(rows)))
+    return driver(
+        RobotStates(rows, starts[rows], starts[rows], goals[rows], tracker.of(rows), 0 * rows)
+    )
 
 
 def test_a_chunk_for_each_robot_that_asks():
@@ -71,5 +73,5 @@ def test_robots_do_not_depend_on_their_neighbours():
     alone = GuidedPolicy(model, SCENES[:1], [0], seed=0)
     starts, goals = SCENES[0].start[None], SCENES[0].goals[:1]
     tracker = PathTracker(np.zeros((1, 10, 2)), 0.05, SCENES[0].workspace)
-    actions = alone(RobotStates(np.array([0]), starts, starts, goals, tracker))
+    actions = alone(RobotStates(np.array([0]), starts, starts, goals, tracker, np.array([0])))
     np.testing.assert_allclose(actions[0], both[0], atol=1e-6)

@@ -1,7 +1,7 @@
 """The compared methods, and their executed motions on the same scenes, robots and seeds."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import chain, islice
 from typing import NamedTuple
@@ -198,7 +198,7 @@ class _Stopwatch:
         self.driver, self.with_path = driver, driver.with_path
         self.times: list[float] = []
 
-    def __call__(self, robots: RobotStates) -> Array:
+    def __call__(self, robots: RobotStates) -> Iterable[Array]:
         """See `Driver`."""
         started = time.perf_counter()
         actions = self.driver(robots)

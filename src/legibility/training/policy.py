@@ -1,6 +1,5 @@
 """Training of stage 2 and of the baselines' policy, and the tuning of the baselines' guidance."""
 
-import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import product
@@ -28,7 +27,7 @@ from ..models.goal_policy import GoalPolicy, goal_features
 from ..models.path_policy import Observation, PathPolicy
 from ..models.provenance import Source
 from ..motion.path import Path
-from ..motion.tracking import NOMINAL_GAIN, PathTracker, feedback_action
+from ..motion.tracking import PathTracker
 from ..rollout import Rollout, follow
 from ..scene import Scene
 from .configuration import PolicyTrainingConfig
@@ -43,7 +42,6 @@ GUIDANCE = {
 """The settings to try: those of Legibility Diffuser's authors and their neighbours."""
 
 _SUCCESS = 0.99
-_NOTICEABLE = 0.1
 
 Samples = tuple[Array, Array]
 """Features `(M, F)` and chunks of actions `(M, chunk, D)` of M steps of demonstrations."""
@@ -92,66 +90,15 @@ class PolicyBatches:
 
 
 def along_paths(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
-    """Every step of the demonstrations as the policy sees it with the path, and without it.
-
-    Each counts twice, as it was and as if something had just stopped the robot there. A chunk is
-    what the controller would send if nothing disturbed the robot any more: what it did send answers
-    noise that no policy can foresee.
-    """
+    """Every step of the demonstrations as the policy sees it with the path, and without it."""
     tracker = PathTracker(data.paths, data.limit, data.workspace)
-    response = responses(data)
 
-    def seen(rows: Any, now: Array, before: Array, _: Array) -> Iterator[Samples]:
-        part, goals, both = tracker.of(rows), data.paths[rows, -1], (before, now)
-        actions = [_continued(part, now, last, response[rows], chunk) / data.limit for last in both]
-        for path in (part, None):
-            views = [Observation.of(now, last, goals, data.limit, path) for last in both]
-            pairs = zip(actions, views, strict=True)
-            turned = [sent @ view.rotation.swapaxes(1, 2) for sent, view in pairs]
-            yield np.concatenate([view.features for view in views]), np.concatenate(turned)
+    def seen(rows: Any, now: Array, before: Array, actions: Array) -> Iterator[Samples]:
+        for path in (tracker.of(rows), None):
+            view = Observation.of(now, before, data.paths[rows, -1], data.limit, path)
+            yield view.features, actions @ view.rotation.swapaxes(1, 2)
 
     return _samples(data, chunk, seen, tracker)
-
-
-def responses(data: Demonstrations) -> Array:
-    """How each robot of the demonstrations answers its commands, `(N, 2)`: γ and λ.
-
-    Its displacement in a step is γ times the command plus λ times its last displacement; γ and λ
-    are least squares over the steps without a push.
-    """
-    # Where a robot hardly moved, the gain that the controller assumes decides.
-    weak = 2 * (_NOTICEABLE * data.limit) ** 2
-    found = np.empty((len(data), 2))
-    for row, (states, actions) in enumerate(zip(data.states, data.actions, strict=True)):
-        moved = np.diff(states, axis=0)
-        last = np.concatenate([np.zeros_like(moved[:1]), moved[:-1]])
-        kept = ~(_pushed(moved, data.limit) | _pushed(last, data.limit))
-        inputs = np.stack([actions[kept].ravel(), last[kept].ravel()])
-        products = inputs @ inputs.T + weak * np.eye(2)
-        sums = inputs @ moved[kept].ravel() + weak * np.array([NOMINAL_GAIN, 0.0])
-        found[row] = np.linalg.solve(products, sums)
-    return found
-
-
-def _pushed(moved: Array, limit: float) -> np.ndarray:
-    """Whether displacements `(..., D)` are longer than a robot moves by itself."""
-    return np.linalg.norm(moved, axis=-1) > limit
-
-
-@np.errstate(under="ignore")
-def _continued(
-    tracker: PathTracker, now: Array, before: Array, response: Array, chunk: int
-) -> Array:
-    """The controller's next actions if nothing disturbs `N` robots, `(N, chunk, D)` [m]."""
-    tracker, actions = copy.copy(tracker), []
-    gain, lag = response.T[..., None]
-    moved = np.where(_pushed(now - before, tracker.limit)[:, None], 0.0, now - before)
-    for _ in range(chunk):
-        actions.append(feedback_action(tracker, now))
-        moved = gain * actions[-1] + lag * moved
-        tracker.update(now + moved, now)
-        now = now + moved
-    return np.stack(actions, axis=1)
 
 
 def toward_goals(data: Demonstrations, chunk: int) -> tuple[Samples, Samples]:
