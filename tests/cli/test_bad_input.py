@@ -325,7 +325,7 @@ def test_evaluate_execution(flags, message, refused):
         ("--seed -1", "seed must be"),
         ("--levels 2", "levels must be"),
         ("--samples 0", "samples must be"),
-        ("--sampling-steps 101", "sampling_steps must be at most 100"),
+        ("--sampling-steps 101", "steps must be at most 100"),
         ("--guidance nan", "guidance must be finite"),
         ("--training-steps 0", "training_steps must be"),
         ("--training-scenes 0", "training_scenes must be"),

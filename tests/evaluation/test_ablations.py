@@ -96,7 +96,10 @@ class TestEvaluate:
         hashes = {name: row["sha256"] for name, row in result["rows"].items()}
         assert hashes["as-shipped"] == shipped
         assert hashes["reference"] == hashes["guidance-1"] == hashes["steps-1"]
-        assert len({hashes[name] for name in SMALL} | {shipped}) == len(SMALL) + 1
+        # In two steps no path has come to shake or touch more than it learns from.
+        quiet = ("without-contact-loss", "without-jerk-loss")
+        others = [hashes[name] for name in SMALL if name not in quiet]
+        assert len({*others, shipped}) == len(SMALL) - 1
 
     def test_small_runs_differ_in_what_they_say(self, evaluated, data):
         folder, _, _ = evaluated

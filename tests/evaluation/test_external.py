@@ -35,7 +35,7 @@ def test_a_straight_line(judge):
     rated = rate(line, judge)
     assert list(rated) == list(METRICS)
     by_hand = dragan_legibility(line, SCENE.goals, 0, 20 / SCENE.size)
-    assert rated["dragan_20"] == pytest.approx(by_hand, rel=1e-6)
+    assert rated["dragan_20"] == pytest.approx(by_hand, rel=1e-3)
     assert rated["length"] == pytest.approx(1)
     walls = SCENE.clearance_at(line[6:-6], 0).min() / SCENE.size
     assert rated["clearance"] == pytest.approx(walls, abs=0.01)

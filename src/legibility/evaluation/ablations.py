@@ -9,6 +9,7 @@ from ..data.dataset import Dataset, generate
 from ..errors import InvalidInputError
 from ..files import file_hash
 from ..models.configuration import PathDiffuserConfig
+from ..models.path_sampler import Sampling
 from ..models.pretrained import load_stages, pretrained_folder, save_stage
 from ..models.provenance import TeacherRecord
 from ..modulator import Modulator
@@ -121,6 +122,8 @@ def evaluate_ablations(
     config, folder = config or AblationsConfig(), Path(folder)
     network = Modulator.from_pretrained(model).config
     rows = variants(config)
+    for row in rows.values():
+        Sampling(row.guidance, row.steps).checked(replace(network, distilled=False))
     stream, label = data.config.stream, data.config.observer.label
     if (stream, label) != ("train", "anchored"):
         raise InvalidInputError(

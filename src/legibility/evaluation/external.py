@@ -25,6 +25,7 @@ from ..intent.metrics import (
 )
 from ..modulator import Modulator
 from ..motion.archive import Archive, build_archive, scene_archive
+from ..motion.bezier import bezier_trajectories
 from ..parallel import threads
 from ..scene import Scene
 from ..seeds import plan_seeds
@@ -160,7 +161,7 @@ def _curves(
         )  # fmt: skip
         return list(paths.trajectory())
     if name == "shortest":
-        return [archive_path(judge, 0.0).trajectory()]
+        return [bezier_trajectories(judge.anchor[None], 10 * _PARTS + 1)[0]]
     archive = (
         search_archive(scene, target, observer, _CURVES, seed) if name == "search"
         else build_archive(scene, target, observer=observer, seed=seed)
