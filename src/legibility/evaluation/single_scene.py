@@ -5,8 +5,9 @@ toward R and G; what each has to choose is then tuned for either target.
 """
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,14 +24,14 @@ from ..models.path_diffuser import PathDiffuser
 from ..models.path_policy import PathPolicy
 from ..modulator import Modulator
 from ..motion.archive import Archive
-from ..parallel import pool
+from ..parallel import pool, threads
 from ..rollout import Rollout
 from ..training.configuration import PathTrainingConfig, PolicyTrainingConfig
 from ..training.loop import Run
 from ..training.path import train_path
 from ..training.policy import best_guidance, train_policy, try_guidance
 from ..training.team import Team
-from .common import world
+from .common import gather, world
 from .comparison import (
     METRICS,
     SCENES,
@@ -129,12 +130,19 @@ def evaluate_single_scene(
     motions: dict[tuple[str, str], list[Rollout]] = {}
     tuning: dict[str, Any] = {}
     with pool(workers, cluster) as each:
-        for letter, target in TARGETS.items():
-            tuned, tuning[letter] = _tuned(
-                models, data, target, archives[letter], config, place, part
-            )
+        tune, items = partial(_tuned, models, data, config, place, GUIDANCE), list(archives.items())
+        report, tuned = part(len(items) * tried * config.tuning_rollouts), 0
+
+        def advance(_: Any) -> None:
+            nonlocal tuned
+            tuned += 1
+            report(tuned, len(items))
+
+        for letter, (best, tuning[letter]) in zip(
+            TARGETS, gather(each, tune, items, advance), strict=True
+        ):
             for row in ROWS:
-                own = tuned.get(row, tuned["network"])
+                own = best.get(row, best["network"])
                 policies = {BASELINE: own.plain, GUIDED: own.guided}
                 contest = Contest(_modulator(own), policies, kind, (1, 1))
                 work = [(GUIDED if row in _TUNED_FOR else row, jobs[letter], [])]
@@ -210,27 +218,25 @@ def _modulator(models: Learned) -> Modulator:
     return Modulator(models.path, models.policy, "single-scene")
 
 
+@threads(1)
 def _tuned(
     models: Learned,
     data: Dataset,
-    target: int,
-    archive: Archive,
     config: SingleSceneConfig,
     place: TableScene,
-    part: Callable[[int], Callable[..., None]],
+    grid: Mapping[str, Sequence[float]],
+    item: tuple[str, Archive],
 ) -> tuple[dict[str, Learned], dict[str, Any]]:
     """The models with what is best for a target, and what was tried, by the row of the table."""
-    number = config.tuning_rollouts
+    letter, archive = item
+    target, number = TARGETS[letter], config.tuning_rollouts
     scenes = [data.scenes[target]] * number
-    tried = int(np.prod([len(values) for values in GUIDANCE.values()]))
 
     def worth(rollouts: list[Rollout]) -> dict[str, float]:
         rows = [measured(r.states, archive, place.spacing, place.unit) for r in rollouts]
         return {metric: float(np.mean([row[metric] for row in rows])) for metric in TESTED}
 
-    rows = try_guidance(
-        models.guided, scenes, data.observers[target], GUIDANCE, worth, part(tried * number)
-    )
+    rows = try_guidance(models.guided, scenes, data.observers[target], grid, worth)
     tuned, tuning = {}, {}
     for name, metric in _TUNED_FOR.items():
         chosen = best_guidance(rows, lambda row, m=metric: TESTED[m] * row[m])
@@ -239,16 +245,15 @@ def _tuned(
         tuned[name] = models._replace(guided=guided)
         tuning[name] = {"chosen": chosen, "tried": rows}
 
-    kind, report = vector_type(config.env, place.scene.dim), part(len(OWN_GUIDANCE) * number)
+    kind = vector_type(config.env, place.scene.dim)
     jobs = [Job(place.scene, target, 1.0, seed, seed) for seed in range(number)]
     rows = []
-    for done, weight in enumerate(OWN_GUIDANCE):
+    for weight in OWN_GUIDANCE:
         contest = Contest(_modulator(_guided_by(models, weight)), {}, kind, (1, 1))
         with pool() as each:
             (moved,) = contest.motions([("network", jobs, [])], each)
         success = float(np.mean([r.success for r in moved]))
         rows.append({"guidance": weight, "success": success, **worth(moved)})
-        report(done + 1, len(OWN_GUIDANCE))
     chosen = best_guidance(rows, lambda row: row["distance_score"])
     tuned["network"] = _guided_by(models, chosen["guidance"])
     tuning["network"] = {"chosen": chosen, "tried": rows}
