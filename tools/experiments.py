@@ -20,11 +20,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-import legibility
-from legibility.errors import InvalidInputError
-from legibility.files import file_hash, read_text
+from legibility.cli.output import model_record
+from legibility.errors import InvalidInputError, LegibilityError
+from legibility.files import read_text
 
-_WEIGHTS = Path(legibility.__file__).parent / "weights"
 _MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
 """A module of each extra."""
 _PARALLEL = (
@@ -65,17 +64,20 @@ class Experiment:
             document = json.loads(Path(self.arguments[-1]).read_text(encoding="utf-8"))
             command = re.sub(r" --workers \d+", "", document["command"])
             used = [*document.get("baselines", []), *document["config"].get("weights", [])]
-            used += [document["model"]] * bool(self.weights)
-            recorded = {model.pop("name"): model for model in used}
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+            if "model" in document:
+                used.append(document["model"])
+            current = [_current(model) for model in used]
+            names = {model["name"] for model in used}
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, LegibilityError):
             return False
-        if shlex.split(command)[1:] != self.arguments or recorded.keys() != set(self.weights):
-            return False
-        files = {
-            (_WEIGHTS / name / f"{stage}.safetensors"): hashed
-            for name, stages in recorded.items() for stage, hashed in stages.items()
-        }  # fmt: skip
-        return all(file.is_file() and file_hash(file) == hashed for file, hashed in files.items())
+        made_so = shlex.split(command)[1:] == self.arguments and names == set(self.weights)
+        return made_so and used == current
+
+
+def _current(model: dict[str, str]) -> dict[str, str]:
+    """What a result that used the same stages would record now."""
+    stages = set(model) - {"name", "settings"}
+    return model_record(model["name"], stages.pop() if len(stages) == 1 else "*")
 
 
 def read_experiments(file: Path) -> dict[str, Experiment]:

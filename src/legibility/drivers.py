@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from .models.onnx import OnnxPathPolicy
 
 
-_HELD = 5
-"""Steps without progress after which a robot counts as held."""
+_IDLE = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +30,7 @@ class RobotStates:
         previous: `(N, D)` [m], one step before.
         goals: `(N, D)` [m], the intended goals.
         tracker: their places on their paths.
-        idle: `(N,)`, steps since they came nearer to their goals along the path.
+        idle: `(N,)`, steps since they made progress, along the path or without one to the goal.
     """
 
     rows: NDArray[np.intp]
@@ -59,7 +58,7 @@ class Driver(Protocol):
 class Policy:
     """Stage 2; with `with_path=False` it sees only the goal.
 
-    A robot that its first action holds in place, as at a hairpin, executes half a chunk.
+    A robot that has made no progress for five steps, as at a hairpin, executes half a chunk.
     """
 
     def __init__(
@@ -76,7 +75,7 @@ class Policy:
         )  # fmt: skip
         chunks = self.model.act(observation, self.steps)
         long = max(config.execute, config.chunk // 2)
-        number = np.where(robots.idle < _HELD, config.execute, long)
+        number = np.where(robots.idle < _IDLE, config.execute, long)
         return [chunk[:n] for chunk, n in zip(chunks, number, strict=True)]
 
 

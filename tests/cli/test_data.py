@@ -78,6 +78,7 @@ def test_a_given_scene(here, cli, capsys):
     data = Dataset.load("d")
     given = Scene.load("scene.yaml")
     assert data.config.given == given
+    assert data.config.goals == (2, 2)
     assert [scene.goals.tolist() for scene in data.scenes] == [
         given.goals.tolist(), given.goals[::-1].tolist()
     ]  # fmt: skip
@@ -93,7 +94,10 @@ def test_a_given_scene(here, cli, capsys):
         ("--scene none.yaml --out d", "none.yaml"),
         ("--scene scene.yaml --info d", "leave the rest out"),
         ("--scene scene.yaml --per-scene 2 --out d", "per_scene"),
+        ("--scene walled.yaml --out d", "walled.yaml: no curve was found to goals[1]"),
     ],
 )
-def test_refuses_a_given_scene(words, message, refused):
+def test_refuses_a_given_scene(words, message, here, refused):
+    wall = "obstacles:\n  - box: {center: [0.9, 0.5], size: [0.05, 1.2]}\n"
+    Path("walled.yaml").write_text("start: [0, 0.5]\ngoals: [[0.5, 0.5], [1.0, 0.5]]\n" + wall)
     assert message in refused(f"data {words}")

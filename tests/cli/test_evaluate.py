@@ -56,7 +56,7 @@ def test_dial_of_executed_motions(here, executable, one_thread, cli, capsys):
     text = capsys.readouterr().out
     content = json.loads(Path("e.json").read_text())
     assert content["config"]["closed_loop"] is True
-    assert set(content["model"]) == {"name", "path", "policy"}
+    assert set(content["model"]) == {"name", "path", "policy", "settings"}
     assert {"success", "deviation"} < set(content["result"]["overall"]["quick"])
     assert "share of rollouts that reached the target" in text
     assert Path("e.png").read_bytes().startswith(b"\x89PNG")
@@ -113,7 +113,7 @@ def test_external(here, weights, cli, capsys):
     assert "Legibility Modulator, exact" in capsys.readouterr().out
     content = json.loads(Path("external-tiny.json").read_text())
     assert content["config"]["regime"] == "obstacles"
-    assert set(content["model"]) == {"name", "path"}
+    assert set(content["model"]) == {"name", "path", "settings"}
     Path("mine.csv").write_text("x,y\n0,0.5\n0.4,0.9\n0.8,0.6\n")
     words = "evaluate external --scene scene.yaml --trajectories mine.csv --levels 3 --json e.json"
     assert cli(words, "--model", weights) == 0
@@ -129,6 +129,9 @@ def test_external(here, weights, cli, capsys):
         ("--scene scene.yaml --trajectories none.csv", "none.csv"),
         ("--scene scene.yaml --trajectories mine.csv --target 2", "target"),
         ("--scene solid.yaml --trajectories solid.csv", "plans in 2D, the scene is 3D"),
+        ("--scene scene.yaml --trajectories mine.csv --scenes 3", "--scenes is of random scenes"),
+        ("--scene scene.yaml --trajectories mine.csv --goals 9..12", "--goals is of random scenes"),
+        ("--scene scene.yaml --trajectories mine.csv --target 1", "m off the target, at most"),
         ("--target 1", "--target belongs to --scene"),
         ("--regime all", "regime must be one of dragan, rooms, obstacles"),
         ("--levels 1", "levels must be"),

@@ -41,7 +41,7 @@ def executed(folder, monkeypatch):
 
 def test_report(executed):
     content, text = executed
-    assert set(content["model"]) == {"name", "path", "policy"}
+    assert set(content["model"]) == {"name", "path", "policy", "settings"}
     assert content["seed"] == 4
     assert content["config"] == {
         "env": "BlockReach2D", "target": 1, "legibility": [-1, 0, 1], "replan": True,

@@ -98,7 +98,7 @@ def test_policy_beside_the_path(run, dataset, shown, cli, tmp_path, capsys):
     paths = ["--data", shown, "--validation", dataset, "--out", tmp_path / "policy"]
     assert cli(words, *paths, "--weights", weights, "--json", report) == 0
     content = json.loads(report.read_text())
-    assert set(content["model"]) == {"name", "path", "policy"}
+    assert set(content["model"]) == {"name", "path", "policy", "settings"}
     assert content["config"]["policy"]["channels"] == [8, 16]
     assert "validation_success" in content["result"]["last"]
     model = lg.Modulator.from_pretrained(weights)
@@ -115,7 +115,7 @@ def test_student_beside_its_teachers_policy(run, dataset, cli, tmp_path, refused
     paths = ["--data", dataset, "--validation", dataset, "--out", out]
     assert cli(words, run / "weights", *paths, "--json", report) == 0
     content = json.loads(report.read_text())
-    assert set(content["model"]) == {"name", "path"}
+    assert set(content["model"]) == {"name", "path", "settings"}
     assert content["config"]["path"]["guidance"] == 0
     assert content["config"]["path"]["sampling_steps"] == 2
     student = lg.Modulator.from_pretrained(out / "weights")

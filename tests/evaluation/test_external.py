@@ -12,6 +12,7 @@ from legibility.evaluation.external import (
     METHODS,
     METRICS,
     YOURS,
+    _best,
     evaluate_external,
     rate,
 )
@@ -39,6 +40,9 @@ def test_a_straight_line(judge):
     assert rated["length"] == pytest.approx(1)
     walls = SCENE.clearance_at(line[6:-6], 0).min() / SCENE.size
     assert rated["clearance"] == pytest.approx(walls, abs=0.01)
+    assert rated["feasible"] == 1
+    outside = line + np.linspace(0, 1, 60)[:, None] * [0.4, 0]
+    assert rate(outside, judge)["feasible"] == 0
 
 
 def test_the_number_of_points_does_not_matter(judge):
@@ -57,14 +61,27 @@ def result(modulator):
 
 def test_more_room_is_never_worse(result):
     assert list(result["methods"]) == list(METHODS)
+    least = result["methods"]["shortest"]["dragan_20"]["mean"]
     for method in result["methods"].values():
         assert [len(method[key]) for key in ("ceiling", "clear")] == [len(LENGTHS), len(CLEARANCES)]
         shares = [best["share"] for best in method["ceiling"]]
         assert shares == sorted(shares)
         shares = [best["share"] for best in method["clear"]]
         assert shares == sorted(shares, reverse=True)
-        whole = [b["legibility"]["mean"] for b in method["ceiling"] if b["share"] == 1]
-        assert whole == sorted(whole)
+        best = [best["legibility"]["mean"] for best in method["ceiling"]]
+        assert best == sorted(best)
+        assert best[0] >= least - 1e-6  # where nothing fits the shortest counts
+
+
+def test_a_motion_in_contact_does_not_count():
+    rows = [{"all": [{"dragan_20": 0.9, "feasible": 0.0, "length": 1.0},
+                     {"dragan_20": 0.7, "feasible": 1.0, "length": 1.2}]}]  # fmt: skip
+    shortest = [{"dragan_20": 0.5, "length": 1.0}]
+    for length, best, share in ((1.1, 0.5, 0), (1.3, 0.7, 1)):
+        found = _best(rows, shortest, lambda m, c=length: m["length"] <= c)
+        assert (found["legibility"]["mean"], found["share"]) == (best, share)
+    found = _best(rows, shortest, lambda m: False)
+    assert found == {"legibility": None, "share": 0}
 
 
 def test_legible_motions_are_legible_to_dragans_observer(result):

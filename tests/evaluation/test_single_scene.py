@@ -110,7 +110,15 @@ def test_other_settings_in_the_same_folder(changes, error, message, evaluated, s
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"rollouts": 1}, {"seed": -1}, {"demonstrations": 2}, {"batch": 0}, {"tuning_rollouts": 0}],
+    [
+        {"rollouts": 1},
+        {"seed": -1},
+        {"demonstrations": 2},
+        {"batch": 0},
+        {"batch": 12},
+        {"tuning_rollouts": 0},
+        {"env": "pandagym"},
+    ],
     ids=str,
 )
 def test_refuses(wrong):

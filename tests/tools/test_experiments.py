@@ -9,9 +9,8 @@ import pytest
 from experiments import Experiment, main, read_experiments
 
 from legibility import cli
+from legibility.cli.output import model_record
 from legibility.errors import InvalidInputError
-from legibility.files import file_hash
-from legibility.models.pretrained import pretrained_folder
 
 ROOT = Path(__file__).parent.parent.parent
 ENTRY = '[{}]\ncommand = "{}"\nweights = ["block-reach-2d"]\n'
@@ -24,13 +23,9 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def hashes(name="block-reach-2d"):
-    return {file.stem: file_hash(file) for file in pretrained_folder(name).glob("*.safetensors")}
-
-
 def write(name, arguments, **content):
     Path("results").mkdir(exist_ok=True)
-    model = {"name": "block-reach-2d", **hashes()}
+    model = model_record("block-reach-2d")
     document = {"command": f"legibility {arguments} --json results/{name}.json", "model": model,
                 "config": {}}  # fmt: skip
     Path(f"results/{name}.json").write_text(json.dumps(document | content))
@@ -51,7 +46,8 @@ class TestIsDone:
     @pytest.mark.parametrize("content", [
         {"command": "legibility plan b.yaml --json results/x.json"},
         {"model": {"name": "block-reach-2d", "path": "0" * 64}},
-        {"model": {"name": "another", **hashes()}},
+        {"model": {**model_record("block-reach-2d"), "name": "another"}},
+        {"model": {**model_record("block-reach-2d"), "settings": "0" * 64}},
         {"baselines": [{"name": "diffusion-policy-2d", "goal": "0" * 64}]},
         {"model": None}, {"command": 3}, {"config": []},
     ])  # fmt: skip
@@ -60,12 +56,24 @@ class TestIsDone:
         assert not self.experiment.is_done()
 
     def test_baselines_and_benched_weights_count(self, folder):
-        others = [{"name": "diffusion-policy-2d", **hashes("diffusion-policy-2d")}]
+        others = [model_record("diffusion-policy-2d")]
         experiment = Experiment("x", "plan a.yaml", ("block-reach-2d", "diffusion-policy-2d"))
         for content in ({"baselines": others}, {"config": {"weights": others}}):
             write("x", "plan a.yaml", **content)
             assert experiment.is_done()
             assert not self.experiment.is_done()
+
+    def test_of_one_stage(self, folder):
+        write("x", "plan a.yaml", model=model_record("block-reach-2d", "path"))
+        assert self.experiment.is_done()
+
+    def test_without_weights(self, folder):
+        write("x", "evaluate x")
+        content = json.loads(Path("results/x.json").read_text())
+        del content["model"]
+        Path("results/x.json").write_text(json.dumps(content))
+        assert Experiment("x", "evaluate x", ()).is_done()
+        assert not Experiment("x", "evaluate x", ("block-reach-2d",)).is_done()
 
     def test_broken_file(self, folder):
         Path("results").mkdir()
@@ -135,7 +143,7 @@ def test_entries_of_the_project_are_commands(folder, monkeypatch):
     for experiment in entries.values():
         assert set(experiment.extras) <= set(experiments._MODULES)
         for name in experiment.weights:
-            assert hashes(name)
+            assert len(model_record(name)) > 2
         assert cli.main(experiment.arguments) == 0
         assert experiment.command.startswith(called[-1])
     assert len(called) == len(entries)

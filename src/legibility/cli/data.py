@@ -13,6 +13,7 @@ from tyro.conf import arg
 from ..data.configuration import DatasetConfig, DemonstrationsConfig
 from ..errors import InvalidInputError
 from ..intent.observer import Observer
+from ..motion.archive import passable
 from ..report.table import Table
 from ..scene import Scene
 from .options import Folder, OutputFile, Workers, flags, made
@@ -51,8 +52,8 @@ def data(
         observer: what ℓ means, whoever watches.
         controller: the demonstrations.
         workers: processes that make the data.
-        scene: instead of random scenes this one, with each of its goals as the target in turn; dim,
-            scenes and goals are then its own.
+        scene: instead of random scenes this one, with each of its goals as the target in turn;
+            --dim, --scenes and --goals then count for nothing.
         out: folder of the dataset to make.
         info: folder of the dataset to describe.
         figure: with --info, a picture of one scene's archive and all labels; DIR/info.png if not
@@ -74,7 +75,7 @@ def data(
     from ..data.dataset import Dataset
 
     if out is not None:
-        given = None if scene is None else Scene.load(scene)
+        given = None if scene is None else _given(scene)
         config = made(DatasetConfig, dataset, observer=made(Observer, observer), given=given)
         content = _make(out, config, made(DemonstrationsConfig, controller), workers)
     else:
@@ -92,6 +93,15 @@ def data(
         curves, labels = archive.trajectories, archive.labels
         archive_figure(archive.scene, 0, curves, labels, content.labels, figure)
         show(f"picture: {figure}")
+
+
+def _given(file: Path) -> Scene:
+    """The scene of a file, to each of whose goals a motion leads."""
+    scene = Scene.load(file)
+    for target in range(scene.num_goals):
+        if not passable(scene, target):
+            raise InvalidInputError(f"{file}: no curve was found to goals[{target}]")
+    return scene
 
 
 def _make(

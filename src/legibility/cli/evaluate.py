@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from tyro.conf import arg
 
 from ..errors import InvalidInputError
@@ -106,20 +107,38 @@ def external(
 ) -> None:
     """Rate the motions of all planners, and your own, by other people's definitions.
 
-    Dragan's legibility, confidence, detachment and L_d; and how legible a motion can be that may
-    not cost more, or must keep clear. Of random scenes, or with --trajectories of your motions in
-    --scene beside ours.
+    Dragan's legibility, confidence, detachment and L_d, and the most legible of the motions that
+    are short enough or keep clear. In random scenes, or with --trajectories your motions in --scene
+    beside ours.
     """
     given = None
     if (scene is None) != (trajectories is None):
         raise InvalidInputError("--scene and --trajectories belong together")
     if scene is not None and trajectories is not None:
-        place = Scene.load(scene)
-        given = place, place.check_target(target), read_trajectories(trajectories, place)
+        plain, own = configuration.ExternalConfig(), made(configuration.ExternalConfig, evaluation)
+        for name in ("scenes", "regime", "goals"):
+            if getattr(own, name) != getattr(plain, name):
+                raise InvalidInputError(f"--{name} is of random scenes, not of --scene")
+        given = _your_motions(Scene.load(scene), target, trajectories)
     elif target:
         raise InvalidInputError("--target belongs to --scene")
     settings = configuration.ExternalConfig
     _evaluate("external", settings, evaluation, model, json, workers=workers, given=given)
+
+
+def _your_motions(scene: Scene, target: int, file: Path) -> tuple[Scene, int, dict[str, Any]]:
+    """A user's motions from the start of a scene to a target."""
+    curves = read_trajectories(file, scene)
+    for name, curve in curves.items():
+        for end, place, point in (
+            ("start", scene.start, curve[0]), ("target", scene.target(target), curve[-1])
+        ):  # fmt: skip
+            if (gap := float(np.linalg.norm(point - place))) > _ENDS * scene.diagonal:
+                raise InvalidInputError(
+                    f"{file}: trajectory {name} is {gap:.3g} m off the {end}, at most "
+                    f"{_ENDS * scene.diagonal:.3g} m are allowed"
+                )
+    return scene, target, curves
 
 
 def execution(
@@ -172,9 +191,9 @@ def spectrum(
 def ablations(
     evaluation: _Ablations,
     data: Annotated[Path, arg(metavar="DIR", help="dataset; small runs use its first scenes")],
-    out: Annotated[Path, arg(metavar="DIR", help="folder of the small runs and measured rows")],
+    out: Annotated[Path, arg(metavar="DIR", help="folder of the small runs")],
     model: _Model = MODEL,
-    workers: Annotated[int, arg(help="processes that make data")] = 1,
+    workers: Annotated[int, arg(help="processes that make data and measure")] = 1,
     device: Annotated[OptionalText, arg(help="cpu or cuda; if not given, a GPU if any")] = None,
     json: _Json = None,
 ) -> None:
@@ -218,6 +237,8 @@ def single_scene(
         result = evaluate_single_scene(out, settings, **vars(workers), progress=progress)
     _write("single-scene", settings, result, json)
 
+
+_ENDS = 0.01
 
 _MODULES = {"table1": "comparison", "unseen": "comparison"}
 """The modules of evaluations that have another name."""

@@ -1,6 +1,8 @@
 """Output of the verbs: the JSON envelope, checks of output files, tables and progress."""
 
 import contextlib
+import hashlib
+import json
 import math
 import os
 import shlex
@@ -68,15 +70,21 @@ def check_folder(path: Path, what: str) -> None:
 
 
 def model_record(name_or_folder: str, stages: str = "*") -> dict[str, str]:
-    """The name of the weights and the hash of each stage's file, of all that match `stages`."""
+    """The name of the weights, and what of them made a result.
+
+    Hashes of the file of each stage that matches `stages`, and of the settings of all these.
+    """
     from ..models.pretrained import pretrained_folder
 
     folder = pretrained_folder(name_or_folder)
     try:
         hashes = {f.stem: file_hash(f) for f in sorted(folder.glob(f"{stages}.safetensors"))}
-    except OSError as cause:
+        entries = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+        settings = json.dumps({s: entries[s]["config"] for s in hashes}, sort_keys=True)
+    except (OSError, ValueError, LookupError, TypeError) as cause:
         raise CheckpointError(f"cannot read the weights of {name_or_folder}: {cause}") from cause
-    return {"name": name_or_folder, **hashes}
+    digest = hashlib.sha256(settings.encode()).hexdigest()
+    return {"name": name_or_folder, **hashes, "settings": digest}
 
 
 def write_report(

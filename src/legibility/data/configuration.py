@@ -149,8 +149,10 @@ class DatasetConfig(SceneStream):
 
     def __post_init__(self) -> None:
         if self.given is not None:
+            number = self.given.num_goals
             object.__setattr__(self, "dim", self.given.dim)
-            object.__setattr__(self, "scenes", min(self.scenes, self.given.num_goals))
+            object.__setattr__(self, "goals", (number, number))
+            object.__setattr__(self, "scenes", min(self.scenes, number))
         super().__post_init__()
         count("scenes", self.scenes)
         count("views", self.views)

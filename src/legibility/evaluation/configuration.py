@@ -236,12 +236,12 @@ class SingleSceneConfig:
     """Settings of the training and the evaluation.
 
     Attributes:
-        env: environment, 2d, panda or pandagym.
+        env: environment, 2d or panda, in which demonstrations and motions are made.
         rollouts: of each method with ℓ = 1, toward either target.
-        seed: of the data, the trainings, the plans, the actions and the robots' hidden properties.
+        seed: of the data, the trainings and the rollouts.
         demonstrations: toward either target.
         training_steps: optimiser steps of each network.
-        batch: steps of demonstrations, or trajectories, in a batch.
+        batch: steps of demonstrations, or trajectories, in a batch; a multiple of 8.
         tuning_rollouts: motions by which settings are chosen, each by another robot.
     """
 
@@ -258,6 +258,10 @@ class SingleSceneConfig:
         _check_counts(
             self, rollouts=2, demonstrations=3, training_steps=1, batch=8, tuning_rollouts=1
         )
+        if self.env not in ("2d", "panda"):
+            raise InvalidInputError(f"env must be 2d or panda here, got {self.env!r}")
+        if self.batch % 8:
+            raise InvalidInputError(f"batch must be a multiple of 8, got {self.batch}")
 
 
 @dataclass(frozen=True)

@@ -51,14 +51,16 @@ METRICS = {
     **{f"dragan_{beta}": f"Dragan’s, β = {beta}" for beta in BETAS},
     "confidence": "time to confidence",
     "detachment": "detachment",
-    "distance_score": "L_d",
+    "distance_score": "L_d over size",
     "length": "length over the shortest",
     "clearance": "clearance",
+    "feasible": "touch nothing",
 }
 """The metrics of a motion. The legibility that Dragan's observer sees (HRI 2013), β over the
 scene's size; the share of the motion after which that observer (β = 20) is confident; detachment
-and L_d of points 2 % of the scene's size apart; the least clearance over the scene's size, but for
-the first and the last tenth of the motion, where start and goal decide."""
+and L_d, over the scene's size, of points 2 % of it apart; the least clearance from obstacles, other
+goals and walls over the scene's size, but for the first and the last tenth of the motion, where
+start and goal decide; and whether it is feasible, ends included."""
 
 LENGTHS = (1.02, 1.1, 1.25, 1.5, 2.0)
 """Ceilings on the length over the shortest."""
@@ -69,7 +71,6 @@ CLEARANCES = (0.0, 0.01, 0.02, 0.05)
 _BETA = 20
 _CURVES = 1024
 _SPACING = 0.02
-_TOUCH = 1e-3
 _PARTS = 25
 
 
@@ -89,10 +90,11 @@ def evaluate_external(
 
     Returns:
         `methods`: of each of `METHODS`, and `yours`, each of `METRICS` of the motions with ℓ = 1
-        (of yours, of all) as a summary over scenes, and under `ceiling` and `clear` the highest
-        legibility (β = 20) of its motions that are no longer than each of `LENGTHS`, and that keep
-        each of `CLEARANCES`, with the `share` of scenes in which there is such a motion; the mean
-        is over those.
+        (of yours, of all) as a summary over scenes, and the highest `legibility` (β = 20) of its
+        feasible motions under `ceiling` that are no longer than each of `LENGTHS`, or under `clear`
+        that keep each of `CLEARANCES`. The `share` is that of scenes in which there is such a
+        motion; in the others the shortest motion counts, and where that does not keep clear
+        either, the scene is left out for all. `scene` and `target`, if given.
     """
     if given is None:
         items: list[Any] = list(range(config.scenes))
@@ -105,24 +107,34 @@ def evaluate_external(
         items = [given]
     measure = partial(_measure, modulator, config)
     found = each_of(items, measure, workers, cluster, progress)
-    methods = {}
+    methods, shortest = {}, [scene["shortest"]["all"][0] for scene in found]
     for name in found[0]:
         rows = [scene[name] for scene in found]
         methods[name] = {
             **{m: summary(np.array([row["legible"][m] for row in rows])) for m in METRICS},
-            "ceiling": [_best(rows, lambda m, c=c: m["length"] <= c) for c in LENGTHS],
-            "clear": [_best(rows, lambda m, c=c: m["clearance"] >= c - _TOUCH) for c in CLEARANCES],
+            "ceiling": [_best(rows, shortest, lambda m, c=c: m["length"] <= c) for c in LENGTHS],
+            "clear": [
+                _best(rows, shortest, lambda m, c=c: m["clearance"] >= c) for c in CLEARANCES
+            ],
         }
-    return rounded({"methods": methods})
+    place = {} if given is None else {"scene": given[0].to_dict(), "target": given[1]}
+    return rounded({"methods": methods, **place})
 
 
-def _best(rows: list[dict[str, Any]], fits: Callable[[dict[str, float]], bool]) -> dict[str, Any]:
-    """The highest legibility of each scene's motions that fit, over scenes."""
-    best = [
-        max((m[f"dragan_{_BETA}"] for m in row["all"] if fits(m)), default=np.nan) for row in rows
-    ]
-    there = np.array([value for value in best if not np.isnan(value)])
-    return {"share": len(there) / len(best), "legibility": summary(there) if len(there) else None}
+def _best(
+    rows: list[dict[str, Any]],
+    shortest: list[dict[str, float]],
+    fits: Callable[[dict[str, float]], bool],
+) -> dict[str, Any]:
+    """The highest legibility of each scene's feasible motions that fit, over scenes."""
+    legibility, own = f"dragan_{_BETA}", []
+    best = []
+    for row, line in zip(rows, shortest, strict=True):
+        fitting = [m[legibility] for m in row["all"] if m["feasible"] and fits(m)]
+        own.append(bool(fitting))
+        if fits(line):
+            best.append(max([*fitting, line[legibility]]))
+    return {"share": float(np.mean(own)), "legibility": summary(np.array(best)) if best else None}
 
 
 @threads(1)
@@ -182,7 +194,8 @@ def rate(curve: Array, judge: Archive) -> dict[str, float]:
         **{f"dragan_{b}": float(posterior_legibility(p, target)) for b, p in beliefs.items()},
         "confidence": min(confident, 1.0),
         "detachment": float(detachment(points, scene.goals, target)),
-        "distance_score": float(distance_score(points, scene.goals, target)),
+        "distance_score": float(distance_score(points, scene.goals, target)) / scene.size,
         "length": float(arc_length(curve)) / judge.shortest_length,
         "clearance": float(clearance) / scene.size,
+        "feasible": float(scene.feasible(resample(curve, 10 * _PARTS + 1), target)),
     }

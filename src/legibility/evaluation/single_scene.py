@@ -1,7 +1,8 @@
-"""Table I as the paper has it: every method learns in the table's scene alone, from the same data.
+"""Table I as the paper has it: all networks learn in the table's scene alone, from the same data.
 
 Diffusion Policy, Legibility Diffuser and both stages of the modulator learn from demonstrations
-toward R and G; what each has to choose is then tuned for either target.
+toward R and G; what each has to choose is then tuned for either target. What a user of the
+modulator gets is also refined with ready-made curves, so its network has a row of its own.
 """
 
 import copy
@@ -102,7 +103,8 @@ def evaluate_single_scene(
     Returns:
         `methods`, `tests`, `scene`, `spacing` and `unit` as of `evaluate_table1`; `demonstrated`:
         toward either target the best value of each of `METRICS` among the demonstrated paths;
-        `tuning`: toward either target what was chosen for `ROWS`, and all that was tried;
+        `tuning`: toward either target what was chosen for Legibility Diffuser's rows and, on its
+        network's own paths, for the modulator's, and all that was tried;
         `training`: of each network the seconds, the parameters and the last metrics; `data`: the
         digests of the data and of the demonstrations.
 
@@ -195,8 +197,8 @@ def _trained(
         settings = PolicyTrainingConfig(**common, batch=config.batch, dropout=dropout)
         return train_policy(shown, validation, run(name), settings, stage=stage)
 
-    per = min(_TRAJECTORIES, config.batch)
-    settings = PathTrainingConfig(**common, scenes=config.batch // per, per_scene=per)
+    scenes = config.batch // _TRAJECTORIES
+    settings = PathTrainingConfig(**common, scenes=scenes, per_scene=_TRAJECTORIES)
     trained = {
         "plain": policy("goal", "diffusion-policy", 0.0),
         "guided": policy("goal", "legibility-diffuser", 0.2),
@@ -227,7 +229,7 @@ def _tuned(
     grid: Mapping[str, Sequence[float]],
     item: tuple[str, Archive],
 ) -> tuple[dict[str, Learned], dict[str, Any]]:
-    """The models with what is best for a target, and what was tried, by the row of the table."""
+    """The tuned models for a target, by the rows that they are tuned for, and what was tried."""
     letter, archive = item
     target, number = TARGETS[letter], config.tuning_rollouts
     scenes = [data.scenes[target]] * number
@@ -239,7 +241,7 @@ def _tuned(
     rows = try_guidance(models.guided, scenes, data.observers[target], grid, worth)
     tuned, tuning = {}, {}
     for name, metric in _TUNED_FOR.items():
-        chosen = best_guidance(rows, lambda row, m=metric: TESTED[m] * row[m])
+        chosen = best_guidance(rows, grid, lambda row, m=metric: TESTED[m] * row[m])
         guided = copy.copy(models.guided)
         guided.config = replace(guided.config, **chosen)
         tuned[name] = models._replace(guided=guided)
@@ -254,7 +256,7 @@ def _tuned(
             (moved,) = contest.motions([("network", jobs, [])], each)
         success = float(np.mean([r.success for r in moved]))
         rows.append({"guidance": weight, "success": success, **worth(moved)})
-    chosen = best_guidance(rows, lambda row: row["distance_score"])
+    chosen = best_guidance(rows, ["guidance"], lambda row: row["distance_score"])
     tuned["network"] = _guided_by(models, chosen["guidance"])
     tuning["network"] = {"chosen": chosen, "tried": rows}
     return tuned, tuning

@@ -153,8 +153,8 @@ class ActionConfig(_NetworkConfig):
 class PathPolicyConfig(ActionConfig):
     """The shape of stage 2.
 
-    It executes one action of a chunk: what an arm makes of its commands is not known well enough to
-    send several blindly, and to mend that all at once shakes it.
+    It executes one action of a chunk: a robot's response is not known well enough to send several
+    open loop, and correcting the accumulated error at once makes it jerk.
     """
 
     execute: int = 1

@@ -202,7 +202,8 @@ def external_section(document: dict[str, Any]) -> list[Part]:
         cells = []
         for best in (*method["ceiling"], *method["clear"]):
             share = "" if best["share"] == 1 else f" ({best['share']:.0%})"
-            cells.append(number(best["legibility"]["mean"], 3) + share if best["share"] else "–")
+            found = best["legibility"]
+            cells.append(number(found["mean"], 3) + share if found else "–")
         bounded.add_row(texts[name], *cells)
     levels = document["config"]["levels"]
     scene = "A given scene" if external.YOURS in methods else scenes_of(document)
@@ -210,13 +211,15 @@ def external_section(document: dict[str, Any]) -> list[Part]:
         f"{scene}; planned motions with ℓ = 1 for Dragan's observer, means. The legibility that "
         "Dragan's observer sees (HRI 2013), β over the scene's size; the share of the motion after "
         "which that observer (β = 20) is confident; detachment (Style-Conditioned Diffusion "
-        "Policy, 2026) and L_d; the length over the shortest motion's; the least clearance over "
-        "the scene's size, but for the first and the last tenth.",
+        "Policy, 2026) and L_d over the scene's size; the length over the shortest motion's; the "
+        "least clearance from obstacles, other goals and walls over the scene's size, but for the "
+        "first and the last tenth; the share of motions that touch nothing.",
         table,
-        f"The highest legibility (β = 20) of {levels} motions from ℓ = 0 to 1 under a ceiling on "
-        "the length over the shortest (RSS 2013 bounds the cost), and under a bound on the "
-        "clearance over the scene's size; in brackets the share of scenes in which there is such "
-        "a motion, if not all.",
+        f"The highest legibility (β = 20) of those of {levels} motions from ℓ = 0 to 1 that touch "
+        "nothing and happen to stay below a ceiling on the length over the shortest (RSS 2013 "
+        "bounds the cost), or to keep a clearance, over the scene's size; nobody planned for these "
+        "bounds. Brackets hold the share of scenes in which there is such a motion, if not all; in "
+        "the others the shortest motion counts, or none where that does not keep clear either.",
         bounded,
     ]
 
@@ -310,16 +313,20 @@ def single_scene_section(document: dict[str, Any]) -> list[Part]:
                 ROWS_OF_ONE_SCENE[name], letter, ", ".join(values), str(len(tuned["tried"]))
             )
     return [
-        f"As in the paper every method learns in the table's scene alone: from "
-        f"{config['demonstrations']} demonstrations toward either target, flat along ℓ, "
-        f"{config['training_steps']:,} steps of {config['batch']} a network (seed "
-        f"{document['seed']}). {config['rollouts']} rollouts toward either target in "
-        f"{result['env']}, ℓ = 1; success is that of the worse target. Brackets hold the ratio to "
-        "the best of the demonstrated paths in that metric.",
+        "As in the paper all networks learn in the table's scene alone: from "
+        f"{config['demonstrations']} demonstrations toward either target, flat along ℓ, one "
+        f"training each (seed {document['seed']}) of {config['training_steps']:,} steps with "
+        f"batches of {config['batch']}. {config['rollouts']} rollouts toward either target in "
+        f"{result['env']}, ℓ = 1; success is that of the worse target, and L_d and L_p are of all "
+        "motions, also of those that do not arrive. Brackets hold the ratio to the best of the "
+        "demonstrated paths in that metric. The modulator's own row is refined with ready-made "
+        "curves, as a user gets it; its network alone knows the demonstrations and no more. The "
+        "baselines execute four actions of a chunk, stage 2 one. The tests speak of robots and "
+        "draws, not of other trainings.",
         table,
-        f"Guidance is chosen for either target by {config['tuning_rollouts']} motions of other "
-        "robots: the modulator's by the highest mean L_d, Legibility Diffuser's by that or by the "
-        "lowest L_p, of those settings with which 99 % arrive, or as many as with any.",
+        f"Guidance is chosen for either target on {config['tuning_rollouts']} other robots: the "
+        "modulator's, on its network's own paths, by the highest mean L_d, Legibility Diffuser's "
+        "by that or by the lowest mean L_p, among the settings with which 99 % arrive.",
         chosen,
         _tests(result, [" ".join(cell) for cell in cells], ROWS_OF_ONE_SCENE),
     ]

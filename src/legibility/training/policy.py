@@ -1,6 +1,6 @@
 """Training of stage 2 and of the baselines' policy, and the tuning of the baselines' guidance."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import product
 from typing import Any
@@ -267,7 +267,7 @@ def tune_guidance(
 
     scenes, observer = validation.scenes, validation.config.observer
     rows = try_guidance(model, scenes, observer, GUIDANCE, worth, progress)
-    return best_guidance(rows, lambda row: row["achieved"]), rows
+    return best_guidance(rows, GUIDANCE, lambda row: row["achieved"]), rows
 
 
 def try_guidance(
@@ -296,12 +296,12 @@ def try_guidance(
 
 
 def best_guidance(
-    rows: list[dict[str, float]], worth: Callable[[dict[str, float]], float]
+    rows: list[dict[str, float]], names: Iterable[str], worth: Callable[[dict[str, float]], float]
 ) -> dict[str, float]:
-    """The settings of the row of highest `worth` that reaches the goal in 99 % of the scenes.
+    """The settings `names` of the row of highest `worth` of those that arrive in 99 % of scenes.
 
-    Or as often as any does.
+    Of those that arrive most often, if none does.
     """
     enough = min(_SUCCESS, max(row["success"] for row in rows))
     best = max((row for row in rows if row["success"] >= enough), key=worth)
-    return {name: best[name] for name in GUIDANCE if name in best}
+    return {name: best[name] for name in names}
