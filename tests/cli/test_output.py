@@ -1,13 +1,16 @@
 import json
 import math
 import os
+import shutil
 from pathlib import Path
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
 
 from legibility.cli import output
 from legibility.errors import CheckpointError, OutputError
+from legibility.models.pretrained import pretrained_folder
 
 
 def test_report_is_plain_and_repeats_the_command(tmp_path):
@@ -85,6 +88,21 @@ def test_number_has_no_minus_before_zero():
 def test_model_without_weights():
     with pytest.raises(CheckpointError):
         output.model_record("no-such-model")
+
+
+def test_the_record_of_weights_knows_their_settings(tmp_path):
+    folder = shutil.copytree(pretrained_folder("block-reach-2d"), tmp_path / "m")
+    both, path = (output.model_record(str(folder), stages) for stages in ("*", "path"))
+    assert list(both) == ["name", "path", "policy", "settings"]
+    assert list(path) == ["name", "path", "settings"]
+    config = (folder / "config.json").read_text()
+    (folder / "config.json").write_text(config.replace('"execute": 1', '"execute": 4'))
+    assert output.model_record(str(folder), "path") == path
+    assert output.model_record(str(folder)) == both | {"settings": ANY}
+    assert output.model_record(str(folder)) != both
+    (folder / "config.json").write_text("{")
+    with pytest.raises(CheckpointError, match="cannot read the weights"):
+        output.model_record(str(folder))
 
 
 def test_markup_is_text(capsys):

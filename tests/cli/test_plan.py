@@ -11,6 +11,7 @@ import pytest
 from stubs import StubModulator
 
 import legibility as lg
+from legibility.cli.output import model_record
 from legibility.modulator import Modulator
 
 
@@ -27,7 +28,8 @@ def planned(here, weights, cli, capsys):
 def test_report(planned, weights):
     content, text = planned
     digest = hashlib.sha256(Path(weights, "path.safetensors").read_bytes()).hexdigest()
-    assert content["model"] == {"name": weights, "path": digest}
+    assert content["model"] == model_record(weights, "path")
+    assert content["model"]["path"] == digest
     assert content["seed"] == 4
     assert content["config"] == {
         "target": 0, "legibility": [-1, 0, 1, -0.5], "observer": lg.Observer().to_dict(),

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import legibility as lg
+from legibility.cli.output import model_record
 from legibility.cli.train import _line
 from legibility.data.dataset import Dataset
 
@@ -19,10 +20,9 @@ def test_report_and_weights(run, dataset):
     assert content["config"]["training"]["steps"] == 20
     assert content["config"]["path"]["channels"] == [8, 16]
     assert content["config"]["path"]["observer"] == lg.Observer().to_dict()
-    assert content["model"] == {
-        "name": str(weights),
-        "path": hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest(),
-    }
+    assert content["model"] == model_record(str(weights))
+    digest = hashlib.sha256((weights / "path.safetensors").read_bytes()).hexdigest()
+    assert content["model"]["path"] == digest
     assert content["result"]["data"] == Dataset.load(dataset).digest
     assert content["result"]["last"]["step"] == 20
     assert "validation_error" in content["result"]["last"]
