@@ -12,13 +12,14 @@ from legibility.data.demonstrations import Demonstrations
 from legibility.errors import CheckpointError, DatasetError, InvalidInputError
 from legibility.evaluation.comparison import SCENES, TARGETS, TESTED
 from legibility.evaluation.configuration import SingleSceneConfig
-from legibility.evaluation.single_scene import GUIDED, OWN_GUIDANCE, ROWS, evaluate_single_scene
+from legibility.evaluation.single_scene import GUIDED, ROWS, evaluate_single_scene
 from legibility.report.sections import single_scene_section
 from legibility.report.table import markdown
 
 SHORT = SingleSceneConfig(
     rollouts=3, seed=2, demonstrations=6, training_steps=2, batch=16, tuning_rollouts=2
 )
+OWN_GUIDANCE = (0.0, 1.0)
 RUNS = ("diffusion-policy", "legibility-diffuser", "path", "policy")
 
 
@@ -31,6 +32,7 @@ def small():
         module = "legibility.evaluation.single_scene"
         tried = {"guidance": (2.0, 5.0), "guidance_decay": (0.5,), "guidance_share": (1.0,)}
         patch.setattr(f"{module}.GUIDANCE", tried)
+        patch.setattr(f"{module}.OWN_GUIDANCE", OWN_GUIDANCE)
         yield
     torch.set_num_threads(threads)
 

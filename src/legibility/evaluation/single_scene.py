@@ -132,7 +132,10 @@ def evaluate_single_scene(
     motions: dict[tuple[str, str], list[Rollout]] = {}
     tuning: dict[str, Any] = {}
     with pool(workers, cluster) as each:
-        tune, items = partial(_tuned, models, data, config, place, GUIDANCE), list(archives.items())
+        tune, items = (
+            partial(_tuned, models, data, config, place, GUIDANCE, OWN_GUIDANCE),
+            list(archives.items()),
+        )
         report, tuned = part(len(items) * tried * config.tuning_rollouts), 0
 
         def advance(_: Any) -> None:
@@ -227,6 +230,7 @@ def _tuned(
     config: SingleSceneConfig,
     place: TableScene,
     grid: Mapping[str, Sequence[float]],
+    own: Sequence[float],
     item: tuple[str, Archive],
 ) -> tuple[dict[str, Learned], dict[str, Any]]:
     """The tuned models for a target, by the rows that they are tuned for, and what was tried."""
@@ -250,7 +254,7 @@ def _tuned(
     kind = vector_type(config.env, place.scene.dim)
     jobs = [Job(place.scene, target, 1.0, seed, seed) for seed in range(number)]
     rows = []
-    for weight in OWN_GUIDANCE:
+    for weight in own:
         contest = Contest(_modulator(_guided_by(models, weight)), {}, kind, (1, 1))
         with pool() as each:
             (moved,) = contest.motions([("network", jobs, [])], each)
