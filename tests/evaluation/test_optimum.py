@@ -18,7 +18,7 @@ from legibility.motion.path import straight_waypoints
 
 
 @given(seed=st.integers(0, 999), dim=st.sampled_from([2, 3]), sign=st.sampled_from([1, -1]))
-@settings(deadline=None, max_examples=6)
+@settings(deadline=None, max_examples=4)
 def test_no_curve_surpasses_the_bound_of_its_length(seed, dim, sign):
     scene = lg.Scene.random(np.random.default_rng(seed), dim=dim, num_goals=3)
     known = list(observers(scene, lg.Observer()).values())
