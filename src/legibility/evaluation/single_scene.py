@@ -132,10 +132,8 @@ def evaluate_single_scene(
     motions: dict[tuple[str, str], list[Rollout]] = {}
     tuning: dict[str, Any] = {}
     with pool(workers, cluster) as each:
-        tune, items = (
-            partial(_tuned, models, data, config, place, GUIDANCE, OWN_GUIDANCE),
-            list(archives.items()),
-        )
+        items = list(archives.items())
+        tune = partial(_tuned, models, data, config, place, GUIDANCE, OWN_GUIDANCE)
         report, tuned = part(len(items) * tried * config.tuning_rollouts), 0
 
         def advance(_: Any) -> None:
