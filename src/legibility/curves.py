@@ -85,11 +85,13 @@ def resample(trajectory: Array, num_points: int) -> Array:
 def spaced(trajectory: Array, spacing: float) -> Array:
     """The points of one trajectory `(T, D)` [m] at every `spacing` [m] of its length.
 
-    The end is left out unless it is at a multiple of the spacing.
+    The end is left out unless it is at a multiple of the spacing, or the trajectory is shorter.
     """
     cumulative = cumulative_length(trajectory)
     moving = np.concatenate([[True], np.diff(cumulative) > 0])
     number = int(cumulative[-1] / spacing + 1e-9) + 1
+    if number < 2:
+        return trajectory[[0, -1]]
     wanted = np.minimum(spacing * np.arange(number), cumulative[-1])
     columns = [np.interp(wanted, cumulative[moving], x[moving]) for x in trajectory.T]
     return np.stack(columns, axis=-1)

@@ -147,6 +147,7 @@ def test_single_scene(here, cli, one_thread, monkeypatch, capsys):
     tried = {"guidance": (2.0,), "guidance_decay": (0.5,), "guidance_share": (1.0,)}
     monkeypatch.setattr("legibility.evaluation.single_scene.GUIDANCE", tried)
     monkeypatch.setattr("legibility.evaluation.single_scene.OWN_GUIDANCE", (0.0,))
+    monkeypatch.setattr("legibility.rollout._PATIENCE", 0.25)
     flags = "--rollouts 2 --demonstrations 4 --training-steps 2 --batch 8 --tuning-rollouts 1"
     words = f"evaluate single-scene {flags} --seed 3 --out runs --json single-scene-2d.json"
     assert cli(words) == 0

@@ -120,7 +120,7 @@ class TestMeasured:
         line = np.array([[0.0, 0.0], [0.0, 0.0], [0.03, 0.0], [0.1, 0.0]])
         np.testing.assert_allclose(spaced(line, 0.04)[:, 0], [0, 0.04, 0.08])
         np.testing.assert_allclose(spaced(line, 0.05)[:, 0], [0, 0.05, 0.1])
-        np.testing.assert_allclose(spaced(line[:2], 0.05), [[0, 0]])
+        np.testing.assert_allclose(spaced(line[:2], 0.05), [[0, 0], [0, 0]])
 
 
 class TestContest:
@@ -195,7 +195,9 @@ def test_compare_tests_what_it_says():
 @pytest.fixture(scope="module")
 def table1(modulator, policies):
     config = Table1Config(rollouts=2, seed=3, search_candidates=64)
-    return config, evaluate_table1(modulator, policies, config)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("legibility.evaluation.contest._TIMED", 1)
+        return config, evaluate_table1(modulator, policies, config)
 
 
 class TestTable1:
@@ -215,7 +217,8 @@ class TestTable1:
         assert ours["achieved"]["mean"] > 0.8
         assert result["oracle"]["R"]["achieved"] == pytest.approx(1, abs=1e-3)
 
-    def test_two_workers_find_the_same(self, table1, modulator, policies):
+    def test_two_workers_find_the_same(self, table1, modulator, policies, monkeypatch):
+        monkeypatch.setattr("legibility.evaluation.contest._TIMED", 1)
         config, result = table1
         again = evaluate_table1(modulator, policies, config, workers=2)
         for name, method in result["methods"].items():
