@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from experiments import _current, read_experiments
+from experiments import current_record, read_experiments
 
 from legibility.cli import main
 from legibility.models.pretrained import pretrained_folder, pretrained_names
@@ -107,7 +107,7 @@ def test_every_result_is_of_shipped_weights():
         content = read_json(file)
         used = [*content.get("baselines", []), *content["config"].get("weights", [])]
         for model in used + ([content["model"]] if "model" in content else []):
-            assert model == _current(model), file.name
+            assert model == current_record(model), file.name
 
 
 def test_measurements_stand_in_tables(results):

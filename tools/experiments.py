@@ -66,7 +66,7 @@ class Experiment:
             used = [*document.get("baselines", []), *document["config"].get("weights", [])]
             if "model" in document:
                 used.append(document["model"])
-            current = [_current(model) for model in used]
+            current = [current_record(model) for model in used]
             names = {model["name"] for model in used}
         except (OSError, ValueError, LookupError, TypeError, AttributeError, LegibilityError):
             return False
@@ -74,7 +74,7 @@ class Experiment:
         return made_so and used == current
 
 
-def _current(model: dict[str, str]) -> dict[str, str]:
+def current_record(model: dict[str, str]) -> dict[str, str]:
     """What a result that used the same stages would record now."""
     stages = set(model) - {"name", "settings"}
     return model_record(model["name"], stages.pop() if len(stages) == 1 else "*")

@@ -17,7 +17,7 @@ from ..training.configuration import FIXED_BY_DATA, DistillationConfig, PathTrai
 from ..training.loop import Run
 from ..training.path import check_data, distill_path, train_path
 from ..training.team import Team
-from .common import plan_milliseconds
+from .common import Parts, plan_milliseconds
 from .configuration import AblationsConfig
 from .dial import evaluate_dial
 
@@ -143,16 +143,9 @@ def evaluate_ablations(
     trained = {variant.run: variant for variant in rows.values() if variant.run}
     total = config.training_steps * len(trained)
     total += sum(s.scenes for s in sources.values()) + len(rows) * config.scenes
-    done = 0
-
-    def part(size: int) -> Callable[..., None]:
-        """The progress of the next part, of `size` scenes or steps."""
-        nonlocal done
-        start, done = done, done + size
-        return lambda now, of, *_: progress(start + size * now // of, total, "")
-
+    stages = Parts(progress, total)
     sets = {
-        name: generate(source, folder / name, workers=workers, progress=part(source.scenes))
+        name: generate(source, folder / name, workers=workers, progress=stages.next(source.scenes))
         for name, source in sources.items()
     }
     settings = {k: v for k, v in vars(network).items() if k not in FIXED_BY_DATA}
@@ -163,7 +156,7 @@ def evaluate_ablations(
     common: dict[str, Any] = {"steps": config.training_steps, "scenes": config.batch_scenes}
     weights = {"": pretrained_folder(model)}
     for name, variant in trained.items():
-        run = Run(folder / name, team, part(config.training_steps))
+        run = Run(folder / name, team, stages.next(config.training_steps))
         learned = sets.get(variant.data, parts[variant.scenes])
         checks = sets["rank-validation" if variant.data == "rank-data" else "validation"]
         weights[name] = folder / name / "weights"
@@ -186,7 +179,7 @@ def evaluate_ablations(
     for name, variant in rows.items():
         modulator = Modulator.from_pretrained(weights[variant.run])
         how = config.dial(variant.steps, variant.guidance)
-        dial = evaluate_dial(modulator, how, workers=workers, progress=part(config.scenes))
+        dial = evaluate_dial(modulator, how, workers=workers, progress=stages.next(config.scenes))
         overall = dial["overall"]["bare"]
         found[name] = {
             "text": variant.text,
@@ -199,5 +192,5 @@ def evaluate_ablations(
             ),
         }
         metrics = [f"{key} {overall[key]['mean']:.4f}" for key in ("spearman", "error")]
-        progress(done, total, f"{variant.text}: {', '.join(metrics)}")
+        stages.tell(f"{variant.text}: {', '.join(metrics)}")
     return {"rows": found, "data": data.digest}

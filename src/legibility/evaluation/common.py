@@ -36,6 +36,27 @@ def counter(progress: Progress, total: int) -> Callable[[int], None]:
     return advance
 
 
+class Parts:
+    """The progress of a long evaluation, one part after another, each of a number of items.
+
+    Args:
+        progress: called with the items done, that of all, and a line where something is finished.
+        total: items of all parts.
+    """
+
+    def __init__(self, progress: Callable[[int, int, str], None], total: int) -> None:
+        self.progress, self.total, self.done = progress, total, 0
+
+    def next(self, size: int) -> Callable[..., None]:
+        """The progress of the next part, of `size` items."""
+        start, self.done = self.done, self.done + size
+        return lambda now, of, *_: self.progress(start + size * now // max(of, 1), self.total, "")
+
+    def tell(self, line: str) -> None:
+        """Report a line at the end of the parts so far."""
+        self.progress(self.done, self.total, line)
+
+
 def gather(
     each: Each,
     function: Callable[[Any], Any],

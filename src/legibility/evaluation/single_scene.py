@@ -32,7 +32,7 @@ from ..training.loop import Run
 from ..training.path import train_path
 from ..training.policy import best_guidance, train_policy, try_guidance
 from ..training.team import Team
-from .common import gather, world
+from .common import Parts, gather, world
 from .comparison import (
     METRICS,
     SCENES,
@@ -118,23 +118,16 @@ def evaluate_single_scene(
     tried = len(OWN_GUIDANCE) + int(np.prod([len(values) for values in GUIDANCE.values()]))
     total = 4 * config.training_steps + 2 * (tried * config.tuning_rollouts)
     total += len(ROWS) * len(TARGETS) * config.rollouts
-    done = 0
-
-    def part(size: int) -> Callable[..., None]:
-        """The progress of the next part, of `size` steps or rollouts."""
-        nonlocal done
-        start, done = done, done + size
-        return lambda now, of, *_: progress(start + size * now // max(of, 1), total, "")
-
+    parts = Parts(progress, total)
     data, validation, shown = _data(folder, place, config, workers, cluster)
-    models, training = _trained(folder, config, data, validation, shown, part)
+    models, training = _trained(folder, config, data, validation, shown, parts)
     archives, jobs = table_archives(_modulator(models), place), table_jobs(place, config)
     motions: dict[tuple[str, str], list[Rollout]] = {}
     tuning: dict[str, Any] = {}
     with pool(workers, cluster) as each:
         items = list(archives.items())
         tune = partial(_tuned, models, data, config, place, GUIDANCE, OWN_GUIDANCE)
-        report, tuned = part(len(items) * tried * config.tuning_rollouts), 0
+        report, tuned = parts.next(len(items) * tried * config.tuning_rollouts), 0
 
         def advance(_: Any) -> None:
             nonlocal tuned
@@ -149,8 +142,8 @@ def evaluate_single_scene(
                 policies = {BASELINE: own.plain, GUIDED: own.guided}
                 contest = Contest(_modulator(own), policies, kind, (1, 1))
                 work = [(GUIDED if row in _TUNED_FOR else row, jobs[letter], [])]
-                (motions[row, letter],) = contest.motions(work, each, part(config.rollouts))
-            progress(done, total, f"toward {letter}: all rows executed")
+                (motions[row, letter],) = contest.motions(work, each, parts.next(config.rollouts))
+            parts.tell(f"toward {letter}: all rows executed")
     return {
         **table_of(place, archives, motions, {}),
         "env": world(kind),
@@ -185,14 +178,14 @@ def _trained(
     data: Dataset,
     validation: Dataset,
     shown: Demonstrations,
-    part: Callable[[int], Callable[..., None]],
+    parts: Parts,
 ) -> tuple[Learned, dict[str, Any]]:
     """All networks, trained on the same data, and how that went."""
     steps, team = config.training_steps, Team.join("cpu")
     common: dict[str, Any] = {"steps": steps, "seed": config.seed, "warmup": min(300, steps)}
 
     def run(name: str) -> Run:
-        return Run(folder / name, team, part(steps))
+        return Run(folder / name, team, parts.next(steps))
 
     def policy(stage: str, name: str, dropout: float) -> Any:
         settings = PolicyTrainingConfig(**common, batch=config.batch, dropout=dropout)
