@@ -33,7 +33,8 @@ from legibility.models.diffusion import noise_schedule
 from legibility.models.goal_policy import GoalPolicy
 from legibility.modulator import Modulator
 from legibility.parallel import pool
-from legibility.report.sections import spectrum_section, table1_section, unseen_section
+from legibility.report.comparisons import table1_section, unseen_section
+from legibility.report.sections import spectrum_section
 from legibility.report.table import markdown
 
 GUIDED = [name for name, method in METHODS.items() if method.guided]

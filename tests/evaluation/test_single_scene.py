@@ -13,7 +13,7 @@ from legibility.errors import CheckpointError, DatasetError, InvalidInputError
 from legibility.evaluation.comparison import SCENES, TARGETS, TESTED
 from legibility.evaluation.configuration import SingleSceneConfig
 from legibility.evaluation.single_scene import GUIDED, ROWS, evaluate_single_scene
-from legibility.report.sections import single_scene_section
+from legibility.report.comparisons import single_scene_section
 from legibility.report.table import markdown
 
 SHORT = SingleSceneConfig(

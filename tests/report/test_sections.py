@@ -5,15 +5,13 @@ import documents
 from legibility.evaluation.comparison import EXTERNAL
 from legibility.evaluation.contest import CANDIDATES, METHODS, OURS
 from legibility.evaluation.execution import ROWS
-from legibility.report.sections import (
-    ablations_section,
-    execution_section,
+from legibility.report.comparisons import (
     external_section,
     single_scene_section,
-    spectrum_section,
     table1_section,
     unseen_section,
 )
+from legibility.report.sections import ablations_section, execution_section, spectrum_section
 from legibility.report.table import Bold, Table
 
 

@@ -7,19 +7,16 @@ from typing import Any, NamedTuple
 
 from ..errors import InvalidInputError
 from ..files import read_document
+from .comparisons import external_section, single_scene_section, table1_section, unseen_section
 from .dials import dial_section, eyes_section, percent, regimes_tables, sound
 from .sections import (
     NOTES,
     ablations_section,
     bench_section,
     execution_section,
-    external_section,
     optimum_section,
     planning_section,
-    single_scene_section,
     spectrum_section,
-    table1_section,
-    unseen_section,
 )
 from .table import Part, Table, markdown, number, three_digits
 
