@@ -25,8 +25,9 @@ SHORT = AblationsConfig(
     scenes=1, goals=(2, 2), levels=3, samples=1, sampling_steps=(1,), guidance=(1.0,),
     training_steps=2, batch_scenes=4, training_scenes=2, scene_numbers=(2, 3),
 )  # fmt: skip
-SMALL = ["reference", "distilled", "without-label-loss", "without-contact-loss",
-         "without-jerk-loss", "without-field", "rank-label", "long-ways", "scenes-3"]  # fmt: skip
+SMALL = ["reference", "another-seed", "twice-the-steps", "distilled", "without-label-loss",
+         "without-contact-loss", "without-jerk-loss", "without-field", "rank-label", "long-ways",
+         "scenes-3"]  # fmt: skip
 ROWS = ["as-shipped", "reference", "guidance-1", "steps-1", *SMALL[1:]]
 
 
@@ -76,7 +77,7 @@ def test_variants():
     assert {name for name, row in rows.items() if row.run == "reference"} == {
         "reference", "guidance-1", "steps-1"
     }  # fmt: skip
-    assert rows["without-label-loss"].losses == {"score_weight": 0}
+    assert rows["without-label-loss"].training == {"score_weight": 0}
     assert rows["scenes-3"].scenes == 3
 
 
@@ -107,7 +108,6 @@ class TestEvaluate:
         for name in SMALL:
             stages, training = load_stages(folder / name / "weights")
             config, record = stages["path"].config, training["path"]
-            assert record.training["steps"] == 2
             assert record.training["scenes"] == SHORT.batch_scenes
             if name not in ("rank-label", "long-ways"):
                 assert record.digest == f"{data.digest}[:{record.data['scenes']}]"
@@ -116,6 +116,7 @@ class TestEvaluate:
             losses = ("score_weight", "contact_weight", "jerk_weight")
             made[name] = {
                 "data": record.data["scenes"], "efficiency": record.data["efficiency"],
+                "steps": record.training["steps"], "seed": record.training["seed"],
                 "field": config.field, "label": config.observer.label,
                 "distilled": config.distilled,
                 "lost": {x for x in losses if not record.training[x]},
@@ -123,10 +124,12 @@ class TestEvaluate:
             if not config.distilled:
                 kept = {x for x in losses if record.training[x] == getattr(plain, x)}
                 assert kept | made[name]["lost"] == set(losses)
-        reference = {"data": 2, "efficiency": 0.1, "field": True, "label": "anchored",
-                     "distilled": False, "lost": set()}  # fmt: skip
+        reference = {"data": 2, "efficiency": 0.1, "steps": 2, "seed": 0, "field": True,
+                     "label": "anchored", "distilled": False, "lost": set()}  # fmt: skip
         changes = {
             "reference": {},
+            "another-seed": {"seed": 1},
+            "twice-the-steps": {"steps": 4},
             "distilled": {"distilled": True},
             "without-label-loss": {"lost": {"score_weight"}},
             "without-contact-loss": {"lost": {"contact_weight"}},
@@ -146,7 +149,7 @@ class TestEvaluate:
         assert {total for _, total, _ in told} == {done[-1]}
         lines = [line for _, _, line in told if line]
         assert len(lines) == len(ROWS)
-        assert lines[4].startswith("small run distilled into a student of one step: spearman ")
+        assert lines[4].startswith("small run of another seed: spearman ")
 
     def test_nothing_is_trained_twice(self, evaluated, model, data, small, monkeypatch):
         folder, result, _ = evaluated

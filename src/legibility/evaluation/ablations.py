@@ -44,7 +44,7 @@ class Variant(NamedTuple):
         run: name of the small run; none is that of the given weights.
         scenes: of its training.
         data: its data, `data`, `rank-data` or `long-data`.
-        losses: weights of the training that differ.
+        training: settings of the training that differ.
         field: whether it sees the field.
         student: whether it is the student of another small run, the reference.
         steps, guidance: of the sampler.
@@ -54,7 +54,7 @@ class Variant(NamedTuple):
     run: str = ""
     scenes: int = 0
     data: str = "data"
-    losses: Mapping[str, Any] = {}
+    training: Mapping[str, Any] = {}
     field: bool = True
     student: bool = False
     steps: int | None = None
@@ -76,10 +76,12 @@ def variants(config: AblationsConfig) -> dict[str, Variant]:
     def small(name: str, text: str, **changes: Any) -> None:
         rows[name] = plain._replace(text=f"small run{text}", run=name, **changes)
 
-    small("distilled", " distilled into a student of one step", student=True)
-    small("without-label-loss", " without the loss on labels", losses={"score_weight": 0.0})
-    small("without-contact-loss", " without the loss on contact", losses={"contact_weight": 0.0})
-    small("without-jerk-loss", " without the loss on jerk", losses={"jerk_weight": 0.0})
+    small("another-seed", " of another seed", training={"seed": 1})
+    small("twice-the-steps", " of twice the steps", training={"steps": 2 * config.training_steps})
+    small("distilled", " distilled, in as many steps again, into one step", student=True)
+    small("without-label-loss", " without the loss on labels", training={"score_weight": 0.0})
+    small("without-contact-loss", " without the loss on contact", training={"contact_weight": 0.0})
+    small("without-jerk-loss", " without the loss on jerk", training={"jerk_weight": 0.0})
     small("without-field", " without the field", field=False)
     small("rank-label", " on rank labels", data="rank-data")
     small("long-ways", " on data that do not prefer short ways", data="long-data")
@@ -141,7 +143,9 @@ def evaluate_ablations(
         "long-data": replace(source, efficiency=_LONG_WAYS),
     }
     trained = {variant.run: variant for variant in rows.values() if variant.run}
-    total = config.training_steps * len(trained)
+    common: dict[str, Any] = {"steps": config.training_steps, "scenes": config.batch_scenes}
+    lessons = {name: {**common, **variant.training} for name, variant in trained.items()}
+    total = sum(lesson["steps"] for lesson in lessons.values())
     total += sum(s.scenes for s in sources.values()) + len(rows) * config.scenes
     stages = Parts(progress, total)
     sets = {
@@ -153,10 +157,9 @@ def evaluate_ablations(
         teacher = PathDiffuserConfig()
         settings |= {"distilled": False, "sampling_steps": teacher.sampling_steps,
                      "guidance": teacher.guidance}  # fmt: skip
-    common: dict[str, Any] = {"steps": config.training_steps, "scenes": config.batch_scenes}
     weights = {"": pretrained_folder(model)}
     for name, variant in trained.items():
-        run = Run(folder / name, team, stages.next(config.training_steps))
+        run = Run(folder / name, team, stages.next(lessons[name]["steps"]))
         learned = sets.get(variant.data, parts[variant.scenes])
         checks = sets["rank-validation" if variant.data == "rank-data" else "validation"]
         weights[name] = folder / name / "weights"
@@ -167,10 +170,10 @@ def evaluate_ablations(
                 file_hash(weights["reference"] / "path.safetensors"),
                 taught.config.sampling_steps, taught.config.guidance, records["path"],
             )  # fmt: skip
-            how = DistillationConfig(**common)
+            how = DistillationConfig(**lessons[name])
             result = distill_path(taught, learned, checks, run, how, record)
         else:
-            how = PathTrainingConfig(**common, **variant.losses)
+            how = PathTrainingConfig(**lessons[name])
             own = {**settings, "field": variant.field}
             result = train_path(learned, checks, run, how, **own)
         save_stage(weights[name], "path", result.model, result.record)
