@@ -198,7 +198,7 @@ def single_scene():
     del result["search"], document["baselines"], document["model"]
     document["command"] = "legibility evaluate single-scene --seed 7"
     document["config"] = {"rollouts": 100, "demonstrations": 150, "training_steps": 3000,
-                          "batch": 256, "tuning_rollouts": 32}  # fmt: skip
+                          "batch": 256, "tuning_rollouts": 32, "networks": 3}  # fmt: skip
     return document
 
 

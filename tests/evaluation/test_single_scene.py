@@ -17,10 +17,11 @@ from legibility.report.comparisons import single_scene_section
 from legibility.report.table import markdown
 
 SHORT = SingleSceneConfig(
-    rollouts=3, seed=2, demonstrations=6, training_steps=2, batch=16, tuning_rollouts=2
-)
+    rollouts=3, seed=2, demonstrations=6, training_steps=2, batch=16, tuning_rollouts=2,
+    networks=2,
+)  # fmt: skip
 OWN_GUIDANCE = (0.0, 1.0)
-RUNS = ("diffusion-policy", "legibility-diffuser", "path", "policy")
+RUNS = ("diffusion-policy", "legibility-diffuser-0", "legibility-diffuser-1", "path", "policy")
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +34,7 @@ def small():
         tried = {"guidance": (2.0, 5.0), "guidance_decay": (0.5,), "guidance_share": (1.0,)}
         patch.setattr(f"{module}.GUIDANCE", tried)
         patch.setattr(f"{module}.OWN_GUIDANCE", OWN_GUIDANCE)
+        patch.setattr(f"{module}.EXECUTE", (1,))
         patch.setattr("legibility.rollout._PATIENCE", 0.25)  # of robots that have learned nothing
         yield
     torch.set_num_threads(threads)
@@ -53,7 +55,10 @@ def test_all_learn_from_the_same_demonstrations(evaluated):
     assert [scene.goals[0].tolist() for scene in data.scenes] == SCENES[2].scene.goals.tolist()
     assert data.labels.shape == (2, SHORT.demonstrations)
     assert len(shown) <= 2 * SHORT.demonstrations
+    assert set(result["training"]) == set(RUNS)
     assert {d["training"]["steps"] for d in result["training"].values()} == {2}
+    seeds = {name: d["training"]["seed"] for name, d in result["training"].items()}
+    assert seeds == dict.fromkeys(RUNS, 2) | {"legibility-diffuser-1": 3}
     assert {p.name for p in folder.iterdir()} == {*RUNS, "data", "validation"}
 
 
@@ -74,7 +79,12 @@ def test_the_best_of_what_was_tried_is_chosen(evaluated):
     for tuning in result["tuning"].values():
         assert list(tuning) == [GUIDED, f"{GUIDED}, L_p", "network"]
         assert [row["guidance"] for row in tuning["network"]["tried"]] == list(OWN_GUIDANCE)
-        assert tuning[GUIDED]["tried"] == tuning[f"{GUIDED}, L_p"]["tried"]
+        for name in (GUIDED, f"{GUIDED}, L_p"):
+            *first, other = tuning[name]["tried"]
+            assert [(row["network"], row["guidance"], row["execute"]) for row in first] == [
+                (0, 2, 4), (0, 5, 4), (1, 2, 4), (1, 5, 4)
+            ]  # fmt: skip
+            assert (other["execute"], other["guidance_decay"]) == (1, 0.5**0.25)
         for name, tuned in tuning.items():
             most = max(row["success"] for row in tuned["tried"])
             rows = [row for row in tuned["tried"] if row["success"] >= min(0.99, most)]
@@ -120,6 +130,7 @@ def test_other_settings_in_the_same_folder(changes, error, message, evaluated, s
         {"batch": 0},
         {"batch": 12},
         {"tuning_rollouts": 0},
+        {"networks": 0},
         {"env": "pandagym"},
     ],
     ids=str,

@@ -243,6 +243,7 @@ class SingleSceneConfig:
         training_steps: optimiser steps of each network.
         batch: steps of demonstrations, or trajectories, in a batch; a multiple of 8.
         tuning_rollouts: motions by which settings are chosen, each by another robot.
+        networks: trainings of Legibility Diffuser, of which the best is taken.
     """
 
     env: str = "2d"
@@ -252,12 +253,14 @@ class SingleSceneConfig:
     training_steps: int = 3000
     batch: int = 256
     tuning_rollouts: int = 32
+    networks: int = 3
 
     def __post_init__(self) -> None:
         random_seed("seed", self.seed)
         _check_counts(
-            self, rollouts=2, demonstrations=3, training_steps=1, batch=8, tuning_rollouts=1
-        )
+            self, rollouts=2, demonstrations=3, training_steps=1, batch=8, tuning_rollouts=1,
+            networks=1,
+        )  # fmt: skip
         if self.env not in ("2d", "panda"):
             raise InvalidInputError(f"env must be 2d or panda here, got {self.env!r}")
         if self.batch % 8:

@@ -60,11 +60,14 @@ ROWS = {
 far from the other goal is not where the goal is clear."""
 
 GUIDANCE = {
-    "guidance": (2.5, 5.0, 7.5, 10.0, 15.0, 25.0, 40.0),
+    "guidance": (2.5, 5.0, 10.0, 25.0, 40.0, 80.0, 160.0),
     "guidance_decay": (0.4, 0.6, 0.8, 0.9, 0.95, 1.0),
     "guidance_share": (0.5, 0.9, 1.0),
 }
 """The settings of Legibility Diffuser to try: with one scene its weight may be large."""
+
+EXECUTE = (1, 2, 8)
+"""Other numbers of actions of a chunk to execute, with the best of `GUIDANCE`."""
 
 OWN_GUIDANCE = (0.0, 0.3, 1.0, 2.0, 4.0)
 """The weights of stage 1's guidance to try."""
@@ -76,7 +79,7 @@ class Learned(NamedTuple):
     """What one scene's data have taught."""
 
     plain: GoalPolicy
-    guided: GoalPolicy  # of the row that is executed
+    guided: Sequence[GoalPolicy]  # of several trainings; of one, tuned, where it is executed
     path: PathDiffuser
     policy: PathPolicy
 
@@ -115,8 +118,9 @@ def evaluate_single_scene(
     config, folder = config or SingleSceneConfig(), Path(folder)
     kind = vector_type(config.env, environment_dim(config.env))
     place = SCENES[kind.dim]
-    tried = len(OWN_GUIDANCE) + int(np.prod([len(values) for values in GUIDANCE.values()]))
-    total = 4 * config.training_steps + 2 * (tried * config.tuning_rollouts)
+    settings = int(np.prod([len(values) for values in GUIDANCE.values()]))
+    tried = len(OWN_GUIDANCE) + config.networks * settings + len(_TUNED_FOR) * len(EXECUTE)
+    total = (3 + config.networks) * config.training_steps + 2 * (tried * config.tuning_rollouts)
     total += len(ROWS) * len(TARGETS) * config.rollouts
     parts = Parts(progress, total)
     data, validation, shown = _data(folder, place, config, workers, cluster)
@@ -139,7 +143,7 @@ def evaluate_single_scene(
         ):
             for row in ROWS:
                 own = best.get(row, best["network"])
-                policies = {BASELINE: own.plain, GUIDED: own.guided}
+                policies = {BASELINE: own.plain, GUIDED: own.guided[0]}
                 contest = Contest(_modulator(own), policies, kind, (1, 1))
                 work = [(GUIDED if row in _TUNED_FOR else row, jobs[letter], [])]
                 (motions[row, letter],) = contest.motions(work, each, parts.next(config.rollouts))
@@ -187,15 +191,17 @@ def _trained(
     def run(name: str) -> Run:
         return Run(folder / name, team, parts.next(steps))
 
-    def policy(stage: str, name: str, dropout: float) -> Any:
-        settings = PolicyTrainingConfig(**common, batch=config.batch, dropout=dropout)
+    def policy(stage: str, name: str, dropout: float, seed: int = config.seed) -> Any:
+        own = {**common, "seed": seed}
+        settings = PolicyTrainingConfig(**own, batch=config.batch, dropout=dropout)
         return train_policy(shown, validation, run(name), settings, stage=stage)
 
     scenes = config.batch // _TRAJECTORIES
     settings = PathTrainingConfig(**common, scenes=scenes, per_scene=_TRAJECTORIES)
+    guided = [f"legibility-diffuser-{number}" for number in range(config.networks)]
     trained = {
-        "plain": policy("goal", "diffusion-policy", 0.0),
-        "guided": policy("goal", "legibility-diffuser", 0.2),
+        "diffusion-policy": policy("goal", "diffusion-policy", 0.0),
+        **{n: policy("goal", n, 0.2, config.seed + i) for i, n in enumerate(guided)},
         "path": train_path(data, validation, run("path"), settings),
         "policy": policy("policy", "policy", 0.1),
     }
@@ -206,8 +212,9 @@ def _trained(
         }
         for name, t in trained.items()
     }  # fmt: skip
-    models = {name: t.model.eval().requires_grad_(False) for name, t in trained.items()}
-    return Learned(**models), records
+    made = {name: t.model.eval().requires_grad_(False) for name, t in trained.items()}
+    tried = [made[name] for name in guided]
+    return Learned(made["diffusion-policy"], tried, made["path"], made["policy"]), records
 
 
 def _modulator(models: Learned) -> Modulator:
@@ -233,13 +240,24 @@ def _tuned(
         rows = [measured(r.states, archive, place.spacing, place.unit) for r in rollouts]
         return {metric: float(np.mean([row[metric] for row in rows])) for metric in TESTED}
 
-    rows = try_guidance(models.guided, scenes, data.observers[target], grid, worth)
-    tuned, tuning = {}, {}
+    def tried(number: int, grid: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
+        found = try_guidance(models.guided[number], scenes, data.observers[target], grid, worth)
+        return [{"network": number, **row} for row in found]
+
+    long = models.guided[0].config.execute
+    first = [row for i in range(config.networks) for row in tried(i, {**grid, "execute": (long,)})]
+    names, tuned, tuning = ["network", "execute", *grid], {}, {}
     for name, metric in _TUNED_FOR.items():
-        chosen = best_guidance(rows, grid, lambda row, m=metric: TESTED[m] * row[m])
-        guided = copy.copy(models.guided)
-        guided.config = replace(guided.config, **chosen)
-        tuned[name] = models._replace(guided=guided)
+        rows = first.copy()
+        best = best_guidance(rows, names, lambda row, m=metric: TESTED[m] * row[m])
+        for execute in EXECUTE:  # of equal decay in a step
+            decay = best["guidance_decay"] ** (execute / long)
+            other = {**best, "execute": execute, "guidance_decay": decay}
+            rows += tried(other.pop("network"), {key: (value,) for key, value in other.items()})
+        chosen = best_guidance(rows, names, lambda row, m=metric: TESTED[m] * row[m])
+        guided = copy.copy(models.guided[chosen["network"]])
+        guided.config = replace(guided.config, **{k: chosen[k] for k in names if k != "network"})
+        tuned[name] = models._replace(guided=[guided])
         tuning[name] = {"chosen": chosen, "tried": rows}
 
     kind = vector_type(config.env, place.scene.dim)

@@ -124,19 +124,21 @@ def single_scene_section(document: dict[str, Any]) -> list[Part]:
             )
     return [
         "As in the paper all networks learn in the table's scene alone: from "
-        f"{config['demonstrations']} demonstrations toward either target, flat along ℓ, one "
-        f"training each (seed {document['seed']}) of {config['training_steps']:,} steps with "
-        f"batches of {config['batch']}. {config['rollouts']} rollouts toward either target in "
+        f"{config['demonstrations']} demonstrations toward either target, flat along ℓ, in "
+        f"{config['training_steps']:,} steps with batches of {config['batch']} (seed "
+        f"{document['seed']}). Each network is trained once, but that of Legibility Diffuser is "
+        f"the best of {config['networks']}. {config['rollouts']} rollouts toward either target in "
         f"{result['env']}, ℓ = 1; success is that of the worse target, and L_d and L_p are of all "
         "motions, also of those that do not arrive. Brackets hold the ratio to the best of the "
         "demonstrated paths in that metric. The modulator's own row is refined with ready-made "
         "curves, as a user gets it; its network alone knows the demonstrations and no more. The "
-        "baselines execute four actions of a chunk, stage 2 one. The tests speak of robots and "
-        "draws, not of other trainings.",
+        "tests speak of robots and draws, not of other trainings.",
         table,
-        f"Guidance is chosen for either target on {config['tuning_rollouts']} other robots: the "
+        f"Settings are chosen for either target on {config['tuning_rollouts']} other robots: the "
         "modulator's, on its network's own paths, by the highest mean L_d, Legibility Diffuser's "
-        "by that or by the lowest mean L_p, among the settings with which 99 % arrive.",
+        "by that or by the lowest mean L_p, among those with which 99 % arrive. All networks of "
+        "Legibility Diffuser, numbered from 0, are tried, and with the best setting other numbers "
+        "of actions to execute, at the same decay in a step; stage 2 executes one.",
         chosen,
         _tests(result, [" ".join(cell) for cell in cells], ROWS_OF_ONE_SCENE),
     ]
