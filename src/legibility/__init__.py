@@ -15,17 +15,23 @@ from .scene import Scene
 
 if TYPE_CHECKING:
     from .modulator import Modulator
+    from .motion.timed import Motion
+    from .robots.arm import Arm
+    from .robots.limits import Limits
     from .rollout import Rollout
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Archive",
+    "Arm",
     "Ball",
     "Box",
     "Field",
     "InformationPotentialField",
+    "Limits",
     "Modulator",
+    "Motion",
     "Observer",
     "Path",
     "Polygon",
@@ -38,8 +44,14 @@ __all__ = [
     "metrics",
 ]
 
-_LAZY = {"Modulator": "modulator", "Rollout": "rollout"}
-"""Loaded on first use, since they load torch."""
+_LAZY = {
+    "Arm": "robots.arm",
+    "Limits": "robots.limits",
+    "Modulator": "modulator",
+    "Motion": "motion.timed",
+    "Rollout": "rollout",
+}
+"""Loaded on first use, since some load torch or much of SciPy."""
 
 
 def __getattr__(name: str) -> Any:

@@ -155,3 +155,50 @@ def test_paths_that_are_not_feasible_are_told(here, stub, cli, capsys, monkeypat
     monkeypatch.setattr(stub, "path", touching)
     assert cli("plan scene.yaml --json p.json") == 0
     assert "1 of 3 paths are not feasible" in capsys.readouterr().out
+
+
+class TestTimed:
+    """Timed motions on the command line."""
+
+    @pytest.fixture(autouse=True)
+    def extras(self):
+        pytest.importorskip("toppra", reason="timed motions are NOT TESTED")
+
+    def test_a_file_for_each_level(self, here, weights, cli, capsys):
+        words = "plan scene.yaml --legibility -1 0 --rate 50 --out out/m.csv --json out/p.json"
+        assert cli(words, "--model", weights) == 0
+        assert "duration [s]" in capsys.readouterr().out
+        paths = json.loads(Path("out/p.json").read_text())["result"]["paths"]
+        for level, path in zip(("-1", "0"), paths, strict=True):
+            rows = list(csv.DictReader(Path(f"out/m_{level}.csv").read_text().splitlines()))
+            assert float(rows[1]["time"]) == 0.02
+            assert float(rows[-1]["time"]) == pytest.approx(path["duration"])
+            assert [float(rows[-1][x]) for x in "xy"] == pytest.approx([0.8, 0.6], abs=1e-6)
+        assert "score_over_time" in paths[0]
+
+    def test_an_arm(self, here, cli):
+        for extra in ("mujoco", "mink", "rosbags", "mcap_ros2"):
+            pytest.importorskip(extra, reason="timed motions of an arm are NOT TESTED")
+        from mcap_ros2.reader import read_ros2_messages
+
+        words = "plan solid.yaml --legibility 1 --arm panda --rate 200 --frame base --out m.mcap"
+        assert cli(words) == 0
+        joints, path = [message.ros_msg for message in read_ros2_messages("m.mcap")]
+        assert len(joints.points) == len(path.poses) > 50
+        assert path.poses[0].pose.position.x == pytest.approx(-0.2 + 0.6)
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            ("--arm panda", "--arm is of timed motions: add --out"),
+            ("--out m.txt --legibility 1", "its name must end in .csv, .json, .mcap"),
+            ("--out m.csv --legibility 1 1", "legibility names one twice"),
+            ("--out m.csv --rate 0", "rate must be a number above 0, got 0"),
+            ("--out m.csv --limits slow", "limits must be one of panda, fr3, moveit-panda, point"),
+            ("--out m.csv --arm scene.yaml", "does not describe an arm"),
+            ("--out m.csv --legibility 1 --max-duration 0.01", "longer than max_duration 0.01 s"),
+            ("--out m.csv --frame tool", "frame must be one of world, base, got 'tool'"),
+        ],
+    )
+    def test_refuses(self, words, message, refused, weights):
+        assert message in refused(f"plan scene.yaml {words} --model", weights)

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from legibility import Scene
-from legibility.envs.arm import JOINT_LIMITS, ArmVector
+from legibility.envs.arm import ArmVector
 from legibility.envs.panda import PandaBlockReach, PandaBlockReachVector
+from legibility.envs.pandagym import JOINT_LIMITS
 from legibility.errors import InvalidInputError, InvalidSceneError
 from legibility.scene import DEFAULT_WORKSPACE
 

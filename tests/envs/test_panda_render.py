@@ -7,10 +7,10 @@ import pytest
 
 from legibility import Scene
 from legibility.envs import panda_render
-from legibility.envs.arm import HOME
 from legibility.envs.panda_render import arm_image
 from legibility.errors import InvalidInputError
 from legibility.obstacles import Ball, Box
+from legibility.robots.arm import PANDA
 
 pytest.importorskip("mujoco", reason="the arm is NOT TESTED: pip install 'legibility[panda]'")
 
@@ -30,14 +30,14 @@ def drawn(request, monkeypatch):
     """Pictures of either kind; bare primitive shapes, which are quicker to load."""
     monkeypatch.setattr(panda_render, "_LOCAL", type(panda_render._LOCAL)())
     if request.param == "a sketch":
-        panda_render._LOCAL.renderer = None
+        panda_render._LOCAL.arm, panda_render._LOCAL.renderer = PANDA, None
         yield
         return
     monkeypatch.setattr(panda_render, "_franka_meshes", list)
     panda_render._looks.cache_clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        renderer = panda_render._renderer()
+        renderer = panda_render._renderer(PANDA)
     if renderer is None:
         pytest.skip("pictures by OpenGL are NOT TESTED: neither EGL nor OSMesa works here")
     yield
@@ -45,18 +45,18 @@ def drawn(request, monkeypatch):
 
 
 def test_a_scene(drawn):
-    picture = arm_image(SCENE, 0, HOME, trails=[TRAIL], size=(320, 240))
+    picture = arm_image(SCENE, 0, PANDA.home, trails=[TRAIL], size=(320, 240))
     assert picture.dtype == np.uint8
     assert picture.shape == (240, 320, 3)
     assert (picture[0, 0] >= 250).all()
     for color, low, high in ((RED, 3e-4, 0.02), (GREEN, 3e-4, 0.02), (BLUE, 1e-3, 0.03)):
         assert low < share_of(picture, color) < high
-    assert np.array_equal(arm_image(SCENE, 0, HOME, trails=[TRAIL], size=(320, 240)), picture)
-    moved = HOME + 0.4 * np.eye(7)[0]
+    assert np.array_equal(arm_image(SCENE, 0, PANDA.home, trails=[TRAIL], size=(320, 240)), picture)
+    moved = PANDA.home + 0.4 * np.eye(7)[0]
     assert (arm_image(SCENE, 0, moved, trails=[TRAIL], size=(320, 240)) != picture).any()
-    bare = arm_image(SCENE, None, HOME, size=(320, 240))
+    bare = arm_image(SCENE, None, PANDA.home, size=(320, 240))
     assert share_of(bare, BLUE) < 1e-4
-    assert (arm_image(SCENE, 0, HOME, size=(320, 240)) != bare).any()  # the ring
+    assert (arm_image(SCENE, 0, PANDA.home, size=(320, 240)) != bare).any()  # the ring
 
 
 @pytest.mark.parametrize("solid", [Ball, Box])
@@ -64,7 +64,7 @@ def test_obstacles(drawn, solid):
     place = np.array([0.0, 0.0, 0.2])
     size = (0.06,) if solid is Ball else ([0.1, 0.06, 0.1], 0.7)
     scene = Scene(SCENE.start, SCENE.goals, obstacles=[solid(place, *size)])
-    bare, picture = (arm_image(s, None, HOME, size=(320, 240)) for s in (SCENE, scene))
+    bare, picture = (arm_image(s, None, PANDA.home, size=(320, 240)) for s in (SCENE, scene))
     changed = (picture != bare).any(-1)
     assert 0.002 < changed.mean() < 0.1
     assert np.argwhere(changed).mean(axis=0) == pytest.approx([160, 185], abs=6)
@@ -77,12 +77,12 @@ def test_both_see_the_same(monkeypatch):
     panda_render._looks.cache_clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if panda_render._renderer() is None:
+        if panda_render._renderer(PANDA) is None:
             pytest.skip("pictures by OpenGL are NOT TESTED: neither EGL nor OSMesa works here")
     centres = []
-    for renderer in (panda_render._renderer(), None):
-        panda_render._LOCAL.renderer = renderer
-        picture = arm_image(SCENE, None, HOME, size=(400, 300))
+    for renderer in (panda_render._renderer(PANDA), None):
+        panda_render._LOCAL.arm, panda_render._LOCAL.renderer = PANDA, renderer
+        picture = arm_image(SCENE, None, PANDA.home, size=(400, 300))
         pixels = picture / np.maximum(picture.sum(-1, keepdims=True), 1)
         seen = np.abs(pixels - np.array(RED) / sum(RED)).max(-1) < 0.04
         centres.append(np.argwhere(seen).mean(axis=0))
@@ -91,25 +91,25 @@ def test_both_see_the_same(monkeypatch):
 
 
 def test_without_opengl_it_says_so_once(monkeypatch):
-    def fail(way):
+    def fail(way, arm):
         raise RuntimeError("no display")
 
     monkeypatch.setattr(panda_render, "_LOCAL", type(panda_render._LOCAL)())
     monkeypatch.setattr(panda_render, "_Renderer", fail)
     with pytest.warns(UserWarning, match=r"no display.* only sketched; apt-get install libegl1"):
-        arm_image(SCENE, 0, HOME)
+        arm_image(SCENE, 0, PANDA.home)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        arm_image(SCENE, 0, HOME)
+        arm_image(SCENE, 0, PANDA.home)
 
 
 def test_sizes_and_targets_are_checked():
     with pytest.raises(InvalidInputError, match="width must be an integer of at least 16, got 0"):
-        arm_image(SCENE, 0, HOME, size=(0, 480))
+        arm_image(SCENE, 0, PANDA.home, size=(0, 480))
     with pytest.raises(InvalidInputError, match="index from 0 to 1, got 2"):
-        arm_image(SCENE, 2, HOME)
+        arm_image(SCENE, 2, PANDA.home)
     with pytest.raises(InvalidInputError, match="pieces, got 5"):
-        arm_image(SCENE, 0, HOME, trails=[(np.zeros((5500, 3)), (1, 0, 0, 1), 0.01)])
+        arm_image(SCENE, 0, PANDA.home, trails=[(np.zeros((5500, 3)), (1, 0, 0, 1), 0.01)])
 
 
 def test_meshes_are_split_by_material():
@@ -133,6 +133,6 @@ def test_franka_meshes_load():
     parts = panda_render._franka_meshes()
     assert {link for link, _, _ in parts} == {*(f"link{i}" for i in range(8)), "hand", "finger"}
     panda_render._looks.cache_clear()
-    model = panda_render._looks()
+    model = panda_render._looks(PANDA)
     assert model.nmesh == len(parts)
     assert model.nq == 7

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from legibility import Scene
 from legibility.envs import pandagym
-from legibility.envs.arm import JOINT_LIMITS
-from legibility.envs.pandagym import PandaGymBlockReach, PandaGymBlockReachVector
+from legibility.envs.pandagym import JOINT_LIMITS, PandaGymBlockReach, PandaGymBlockReachVector
 from legibility.errors import InvalidInputError, MissingExtraError
 from legibility.scene import DEFAULT_WORKSPACE
 

@@ -64,7 +64,7 @@ def execute(
             check_film(video)
     robot_type = vector_type(env, scene.dim)
     if scene.dim == 3 and any((figure, spectrum, video)):
-        from ..envs.panda_model import import_mujoco
+        from ..robots.simulator import import_mujoco
 
         import_mujoco()  # it draws the arm of either simulator
 

@@ -5,16 +5,21 @@ import inspect
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..checks import Array, legibility_levels, random_seed
+from ..checks import Array, legibility_levels, positive, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
 from ..files import read_document
 from ..intent.observer import Observer, observer_of
 from ..scene import Scene
+from . import output
+
+if TYPE_CHECKING:
+    from ..motion.path import Path as Path_
+    from ..motion.timed import Motion
 
 MODEL = "block-reach-2d"
 MODELS = {2: MODEL, 3: "panda-block-reach"}
@@ -128,6 +133,60 @@ class Motions(Place):
             "refine": self.refine,
             "num_candidates": self.candidates,
         }
+
+
+@dataclasses.dataclass(frozen=True)
+class Timed:
+    """Motions for a robot, over time.
+
+    Attributes:
+        out: file of the timed motion: .csv, .json or .mcap, a bag of ROS 2 (extra ros). Of several
+            levels there is a file each, with the level in its name.
+        rate: instants in a second.
+        limits: what the motion keeps: point, panda, fr3 or moveit-panda; if not given, the arm's
+            own, or point.
+        arm: panda, or a .yaml or .json file of one.
+        frame: world or base, in which positions are written.
+        max_duration: longest duration [s] that is accepted.
+    """
+
+    out: OutputFile = None
+    rate: float = 100.0
+    limits: OptionalText = None
+    arm: OptionalText = None
+    frame: str = "world"
+    max_duration: OptionalFloat = None
+
+    def files(self, asked: Array) -> list[Path]:
+        """The file of each level, once all is checked; none if no motion is to be written."""
+        from ..motion.timed import mover
+        from ..robots import formats
+
+        if self.out is None:
+            names = ("limits", "arm", "max_duration")
+            for flag in [n.replace("_", "-") for n in names if getattr(self, n) is not None]:
+                raise InvalidInputError(f"--{flag} is of timed motions: add --out")
+            return []
+        positive("rate", self.rate)
+        mover(self.limits, self.arm)
+        if len(np.unique(asked)) < len(asked):
+            raise InvalidInputError("each level has a file of its own, legibility names one twice")
+        files = [self.out]
+        if len(asked) > 1:
+            name = self.out.with_suffix("").name
+            files = [self.out.with_name(f"{name}_{x:g}{self.out.suffix}") for x in asked]
+        for file in files:
+            output.check_file(file, "motion")
+            formats.check(file)
+        return files
+
+    def motions(self, path: "Path_") -> "list[Motion]":
+        """The timed motion of each level of a path."""
+        timed = [
+            path[i].timed(self.limits, self.rate, arm=self.arm, max_duration=self.max_duration)
+            for i in range(len(path))
+        ]
+        return [motion.in_frame(self.frame) for motion in timed]
 
 
 def read_scene(file: Path, observer: str | None = None) -> tuple[Scene, Observer]:

@@ -4,12 +4,13 @@ import numpy as np
 
 from ..checks import count
 from . import output
-from .options import Motions, OptionalFloat, OptionalInt, OutputFile
+from .options import Motions, OptionalFloat, OptionalInt, OutputFile, Timed
 from .trajectories import write_trajectories
 
 
 def plan(
     motions: Motions,
+    timed: Timed,
     guidance: OptionalFloat = None,
     steps: OptionalInt = None,
     points: int = 100,
@@ -21,6 +22,7 @@ def plan(
 
     Args:
         motions: motions to plan.
+        timed: motions for a robot.
         guidance: weight of classifier-free guidance at ±1; if not given, the model's.
         steps: of the sampler; if not given, the model's.
         points: of each trajectory written.
@@ -34,12 +36,14 @@ def plan(
     output.check_file(csv, "CSV file")
     scene, observer, asked, model = motions.read()
     target = motions.target
+    files = timed.files(asked)
 
     from ..figures.belief import describe
     from ..modulator import Modulator
 
     options = {**motions.options(observer), "guidance": guidance, "steps": steps}
     path = Modulator.from_pretrained(model).plan(scene, target, asked, seed=motions.seed, **options)
+    moves = timed.motions(path) if files else []
     archive = path.archive
     columns = {
         "legibility": asked,
@@ -52,6 +56,10 @@ def plan(
         "waypoints": path.waypoints,
         "trajectory": path.trajectory(points),
     }
+    if moves:
+        columns["duration"] = [motion.duration for motion in moves]
+        columns["score_over_time"] = [motion.score for motion in moves]
+        columns["time_to_confidence"] = [motion.time_to_confidence for motion in moves]
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     if csv is not None:
         write_trajectories(csv, [f"{level:g}" for level in asked], columns["trajectory"])
@@ -61,6 +69,7 @@ def plan(
         config={
             "target": target, "legibility": asked, **options, "observer": observer.to_dict(),
             "points": points,
+            **({"rate": timed.rate, "limits": timed.limits, "arm": timed.arm} if moves else {}),
         },
         model=output.model_record(model, "path"),
         result={
@@ -71,6 +80,8 @@ def plan(
             "paths": rows,
         },
     )  # fmt: skip
+    for motion, file in zip(moves, files, strict=True):
+        motion.save(file)
     if figure is not None:
         from ..figures.paper import plan_figure
 
@@ -80,11 +91,19 @@ def plan(
     table = output.table(
         f"{motions.scene}, goal {target}, {model}, for {describe(scene, observer)}",
         *("asked ℓ", "achieved ℓ", "score", "detour", *["clearance [m]"] * solid),
+        *["duration [s]", "time to confidence [s]"] * bool(moves),
     )
     for row in rows:
         cells = [output.number(row[name]) for name in ("legibility", "achieved", "detour")]
         cells.insert(2, output.significant(row["score"]))
-        table.add_row(*cells, *[output.number(row["clearance"])] * solid)
+        cells += [output.number(row["clearance"])] * solid
+        if moves:
+            seconds = row["time_to_confidence"]
+            cells += [
+                output.number(row["duration"], 2),
+                output.number(seconds, 2) if np.isfinite(seconds) else "never",
+            ]
+        table.add_row(*cells)
     error = np.abs(path.achieved - asked).mean()
     output.show(
         table, f"mean |achieved − asked| {output.number(error)}", *output.dial_lines(archive)

@@ -1,4 +1,4 @@
-"""The Franka Panda in both simulators: its limits, its task space and the events counted."""
+"""An arm in either simulator: its task space, the events counted, and what its links touch."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -7,26 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, finite_array
+from ..robots.arm import PANDA, Arm, checked_points
 from .block_reach import BlockReachVector
 from .guard import Planes
 
-JOINT_LIMITS = np.array([
-    [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
-    [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
-])  # fmt: skip
-"""Least and greatest angle of each joint, `(2, 7)` [rad] (Franka's documentation)."""
-
-VELOCITY_LIMITS = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
-"""Greatest speed of each joint, `(7,)` [rad/s] (Franka's documentation)."""
-
-HOME = np.array([0.0, 0.41, 0.0, -1.85, 0.0, 2.26, 0.79])
-"""Angles `(7,)` [rad] at which inverse kinematics start: the gripper down over the table."""
-
 BLOCK = 0.04
 """Edge of a block [m]."""
-
-BASE = np.array([-0.6, 0.0, 0.0])
-"""Where the arm stands on the table [m]."""
 
 
 class ArmVector(BlockReachVector):
@@ -48,6 +34,8 @@ class ArmVector(BlockReachVector):
     overshoot = 0.05
     substeps: ClassVar[int] = 20
     """Physics steps in a control step, 2 ms each."""
+    arm: Arm = PANDA
+    """The arm that moves."""
 
     @abstractmethod
     def _drive(self, indices: NDArray, targets: Array) -> Array:
@@ -72,11 +60,9 @@ class ArmVector(BlockReachVector):
         meeting = [index for index in indices if self.scenes[index].obstacles]
         if not meeting:
             return
-        from .panda_model import obstacle_gaps
-
         angles = self.joint_angles
         for index in meeting:
-            gaps = obstacle_gaps(self.scenes[index].obstacles, angles[index : index + 1])
+            gaps = self.arm.obstacle_gaps(self.scenes[index].obstacles, angles[index : index + 1])
             self.counts["obstacle_contacts"][index] += gaps[0] < 0
 
     @property
@@ -84,10 +70,8 @@ class ArmVector(BlockReachVector):
         """See `BlockReachVector.planes`."""
         if not any(scene.obstacles for scene in self.scenes):
             return None
-        from .panda_model import nearby
-
         found = [
-            next(nearby(scene.obstacles, pose[None]))
+            next(self.arm.nearby(scene.obstacles, pose[None]))
             for scene, pose in zip(self.scenes, self.joint_angles, strict=True)
         ]
         most = max(1, *(len(near.gaps) for near in found))
@@ -106,18 +90,14 @@ class ArmVector(BlockReachVector):
         curve = finite_array("trajectory", trajectory, ndim=2, last=3)
         if not (obstacles := self.scenes[index].obstacles):
             return super().arm_gaps(curve, index)
-        from .panda_model import checked_points, obstacle_gaps, postures
-
         points = checked_points(curve)
-        return points, obstacle_gaps(obstacles, postures(points))
+        return points, self.arm.obstacle_gaps(obstacles, self.arm.postures(points))
 
     def arm_touches(self, position: ArrayLike, index: int = 0) -> list[tuple[str, int]]:
         """See `BlockReachVector.arm_touches`."""
         point = finite_array("position", position, ndim=1, last=3)
         if not (obstacles := self.scenes[index].obstacles):
             return []
-        from .panda_model import nearby, postures
-
-        (near,) = nearby(obstacles, postures(point[None]))
+        (near,) = self.arm.nearby(obstacles, self.arm.postures(point[None]))
         pairs = zip(near.links, near.obstacles.tolist(), near.gaps, strict=True)
         return sorted({(link, obstacle) for link, obstacle, gap in pairs if gap < 0})

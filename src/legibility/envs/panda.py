@@ -1,13 +1,14 @@
 """The block reaching task with a Franka Panda in MuJoCo."""
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array
-from .arm import JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
-from .panda_model import JOINT_MARGIN, Kinematics, Simulation
+from ..robots.arm import JOINT_MARGIN, PANDA, Arm, Kinematics
+from ..robots.simulator import import_mujoco
+from .arm import ArmVector
 from .single import BlockReach
 
 _SPEED_SHARE = 0.9
@@ -29,14 +30,16 @@ class PandaBlockReachVector(ArmVector):
 
     drawn = {"response": (0.012, 0.025), "delay": (0.0, 0.008)}  # noqa: RUF012
 
-    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+    def __init__(self, num_envs: int = 1, *, arm: Arm = PANDA, **settings: Any) -> None:
         super().__init__(num_envs, **settings)
-        self._kinematics, self._simulation = Kinematics(), Simulation()
-        self._angles, self._speeds, self._command, self._reference = np.zeros((4, num_envs, 7))
+        self.arm, self._kinematics, self._simulation = arm, Kinematics(arm), Simulation(arm)
+        self._range = arm.joint_range
+        states = np.zeros((4, num_envs, arm.joints))
+        self._angles, self._speeds, self._command, self._reference = states
 
     @property
     def joint_angles(self) -> Array:
-        """`(B, 7)` [rad]."""
+        """`(B, J)` [rad]."""
         return self._angles.copy()
 
     def _place(self, index: int, position: Array) -> Array:
@@ -48,7 +51,7 @@ class PandaBlockReachVector(ArmVector):
     def _drive(self, indices: NDArray[Any], targets: Array) -> Array:
         pairs = zip(self._angles[indices], targets, strict=True)
         wanted = np.array([angles + self._kinematics.step(angles, to) for angles, to in pairs])
-        wanted = np.clip(wanted, JOINT_LIMITS[0] + JOINT_MARGIN, JOINT_LIMITS[1] - JOINT_MARGIN)
+        wanted = np.clip(wanted, self._range[0] + JOINT_MARGIN, self._range[1] - JOINT_MARGIN)
         for first in range(0, self.substeps, _SEGMENT):
             reference = self._follow(indices, wanted, first)
             angles, speeds, touched = self._simulation.run(
@@ -56,8 +59,8 @@ class PandaBlockReachVector(ArmVector):
             )
             self._reference[indices] = reference[:, -1]
             self._angles[indices], self._speeds[indices] = angles[:, -1], speeds[:, -1]
-            beyond = ((angles < JOINT_LIMITS[0]) | (angles > JOINT_LIMITS[1])).any(axis=-1)
-            fast = (np.abs(speeds) > VELOCITY_LIMITS).any(axis=-1)
+            beyond = ((angles < self._range[0]) | (angles > self._range[1])).any(axis=-1)
+            fast = (np.abs(speeds) > self.arm.limits.velocity).any(axis=-1)
             events = touched[..., 0], touched[..., 1], beyond, fast
             for name, occurred in zip(self.events, events, strict=True):
                 self.counts[name][indices] += occurred.sum(axis=1)
@@ -67,35 +70,38 @@ class PandaBlockReachVector(ArmVector):
     def _follow(self, indices: NDArray[Any], wanted: Array, first: int) -> Array:
         """The joints' reference in the segment that begins with physics step `first`.
 
-        It follows the old command until the delay is over, then the new one, `wanted (N, 7)`
+        It follows the old command until the delay is over, then the new one, `wanted (N, J)`
         [rad]. It waits for joints that cannot keep up: a large lead would pull them too fast. Of
-        `(N, segment + 1, 7)` [rad] the last row is the state at the end of the segment.
+        `(N, segment + 1, J)` [rad] the last row is the state at the end of the segment.
         """
         period = 1 / self.metadata["render_fps"] / self.substeps
         time = np.arange(_SEGMENT + 1) * period
         delay = np.maximum(self.hidden["delay"][indices, None] - first * period, 0)
         angles, response = self._angles[indices], self.hidden["response"][indices, None]
         old, lead = self._command[indices], self._reference[indices] - angles
-        excess = (np.abs(lead) / (_AHEAD * VELOCITY_LIMITS)).max(axis=1, keepdims=True)
+        excess = (np.abs(lead) / (_AHEAD * self.arm.limits.velocity)).max(axis=1, keepdims=True)
         start = angles + lead / np.maximum(excess, 1)
-        turn = _approach(start, old, response, delay)[:, 0]
-        early = _approach(start, old, response, np.minimum(time, delay))
-        late = _approach(turn, wanted, response, np.maximum(time - delay, 0))
+        speeds = _SPEED_SHARE * self.arm.limits.velocity
+        turn = _approach(start, old, response, delay, speeds)[:, 0]
+        early = _approach(start, old, response, np.minimum(time, delay), speeds)
+        late = _approach(turn, wanted, response, np.maximum(time - delay, 0), speeds)
         return np.where((time < delay)[..., None], early, late)
 
     def _picture(self, index: int) -> NDArray[np.uint8]:
         from .panda_render import arm_image
 
-        return arm_image(self.scenes[index], int(self.targets[index]), self._angles[index])
+        return arm_image(
+            self.scenes[index], int(self.targets[index]), self._angles[index], arm=self.arm
+        )
 
 
-def _approach(start: Array, goal: Array, response: Array, time: Array) -> Array:
-    """Joint angles `(N, T, 7)` [rad] on the way from `start` to `goal (N, 7)` at `time (N, T)` [s].
+def _approach(start: Array, goal: Array, response: Array, time: Array, speeds: Array) -> Array:
+    """Joint angles `(N, T, J)` [rad] on the way from `start` to `goal (N, J)` at `time (N, T)` [s].
 
     A first-order system `x' = (goal − x) / τ` with τ = `response (N, 1)` [s]; all joints slow down
-    alike for the one that would be too fast.
+    alike for the one that would exceed its greatest of `speeds (J,)` [rad/s].
     """
-    fastest = np.abs(goal - start) / (_SPEED_SHARE * VELOCITY_LIMITS * response)
+    fastest = np.abs(goal - start) / (speeds * response)
     excess = np.maximum(fastest.max(axis=1, keepdims=True), 1)
     steady = (excess - 1) * response  # the time at the speed limit
     left = np.where(
@@ -104,6 +110,35 @@ def _approach(start: Array, goal: Array, response: Array, time: Array) -> Array:
         np.exp(-np.maximum(time - steady, 0) / response) / excess,
     )
     return goal[:, None] + left[..., None] * (start - goal)[:, None]
+
+
+class Simulation:
+    """MuJoCo's physics of many arms of a kind; a call does not depend on earlier ones."""
+
+    def __init__(self, arm: Arm) -> None:
+        mujoco, self._model = import_mujoco(), arm.physics()
+        self._arm = arm
+        from mujoco import rollout
+
+        self._data = mujoco.MjData(self._model)
+        self._rollout: Any = rollout.Rollout(nthread=0)
+        self._size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Arm]]:
+        return type(self), (self._arm,)
+
+    def run(self, angles: Array, speeds: Array, controls: Array) -> tuple[Array, Array, Array]:
+        """Simulate `T` steps from `angles` [rad] and `speeds` [rad/s], `(B, J)` each.
+
+        The motors' goals are `controls (B, T, J)` [rad]. Return angles and speeds after each step
+        `(B, T, J)`, and whether the arm touched the table and itself before it, `(B, T, 2)`.
+        """
+        start = np.zeros((len(angles), self._size))
+        joints = self._arm.joints
+        start[:, 1 : 1 + joints], start[:, 1 + joints : 1 + 2 * joints] = angles, speeds
+        states, sensors = self._rollout.rollout(self._model, self._data, start, controls)
+        after = states[..., 1 : 1 + joints], states[..., 1 + joints : 1 + 2 * joints]
+        return *after, sensors > 0
 
 
 class PandaBlockReach(BlockReach):

@@ -1,4 +1,4 @@
-"""The picture of the Franka Panda at its table, with blocks, obstacles and trajectories."""
+"""The picture of an arm at its table, with blocks, obstacles and trajectories."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from PIL import Image, ImageColor, ImageDraw
 from ..checks import Array, count
 from ..errors import InvalidInputError
 from ..obstacles import Box
+from ..robots.arm import PANDA, Arm
+from ..robots.simulator import import_mujoco, solid_geom
 from ..scene import Scene
 from .arm import BLOCK
 from .colors import GOALS, INK, OBSTACLE
-from .panda_model import import_mujoco, physics, solid_geom, specification
 
 _STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
 _SMOOTH, _FINE = 2, 3
@@ -57,6 +58,7 @@ def arm_image(
     *,
     trails: Iterable[Trail] = (),
     size: tuple[int, int] = (480, 480),
+    arm: Arm = PANDA,
 ) -> NDArray[np.uint8]:
     """The arm among a scene's blocks and obstacles, `(H, W, 3)`.
 
@@ -66,9 +68,10 @@ def arm_image(
     Args:
         scene: the current scene.
         target: index of the goal that the ring marks, if any.
-        angles: `(7,)` [rad], of the arm's joints.
+        angles: `(J,)` [rad], of the arm's joints.
         trails: trajectories drawn as tubes, 5000 points in all at most.
         size: width and height [pixels].
+        arm: the arm.
     """
     width, height = (
         count(name, n, low=16) for name, n in zip(("width", "height"), size, strict=True)
@@ -84,8 +87,8 @@ def arm_image(
         raise InvalidInputError(
             f"blocks, obstacles and trails must be at most {_MAX_SHAPES} pieces, got {pieces}"
         )
-    renderer = _renderer()
-    shapes = _shapes(_looks() if renderer else physics(), angles, solids, tubes)
+    renderer = _renderer(arm)
+    shapes = _shapes(_looks(arm) if renderer else arm.physics(), angles, solids, tubes)
     if renderer is None:
         return _sketch(shapes, width, height)
     return renderer.draw(shapes, width, height)
@@ -164,13 +167,14 @@ _LOCAL = threading.local()
 """OpenGL's contexts belong to threads."""
 
 
-def _renderer() -> _Renderer | None:
-    if not hasattr(_LOCAL, "renderer"):
-        _LOCAL.renderer = None
+def _renderer(arm: Arm) -> _Renderer | None:
+    """The renderer of an arm, whose meshes it holds; there is one at a time."""
+    if getattr(_LOCAL, "arm", None) is not arm:
+        _LOCAL.arm, _LOCAL.renderer = arm, None
         causes = []
         for way in _ways():
             try:
-                _LOCAL.renderer = _Renderer(importlib.import_module(way))
+                _LOCAL.renderer = _Renderer(importlib.import_module(way), arm)
                 break
             except Exception as cause:  # drivers fail in many ways; the sketch always works
                 causes.append(f"{way}: {type(cause).__name__}: {cause}")
@@ -196,11 +200,11 @@ def _ways() -> list[str]:
 class _Renderer:
     """Draws shapes with OpenGL."""
 
-    def __init__(self, way: Any) -> None:
+    def __init__(self, way: Any, arm: Arm) -> None:
         self._context = way.GLContext(640, 480)
         self._context.make_current()
         self._mujoco = mujoco = import_mujoco()
-        self._gl = mujoco.MjrContext(_looks(), mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._gl = mujoco.MjrContext(_looks(arm), mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
 
     def draw(self, shapes: Any, width: int, height: int) -> NDArray[np.uint8]:
@@ -215,10 +219,16 @@ class _Renderer:
         return np.array(Image.fromarray(pixels[::-1]).reduce(_SMOOTH))
 
 
-@functools.cache
-def _looks() -> Any:
-    """The model that is drawn: the joints of the physics with Franka's meshes, where there are."""
-    mujoco, spec, meshes = import_mujoco(), specification(), _franka_meshes()
+@functools.lru_cache(maxsize=8)
+def _looks(arm: Arm) -> Any:
+    """The model that is drawn: what the arm looks like, the Panda in Franka's meshes if there are.
+
+    Where a model has no looks, its shapes that collide are drawn.
+    """
+    mujoco, spec = import_mujoco(), arm.specification()
+    meshes = _franka_meshes() if arm is PANDA else []
+    if not any(geom.group == 2 for geom in spec.geoms):
+        return arm.physics()
     bodies = {body.name: body for body in spec.bodies}
     for geom in list(spec.geoms):
         if geom.group == 3 or (meshes and geom.group == 2):

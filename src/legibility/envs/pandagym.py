@@ -15,8 +15,15 @@ from scipy.optimize import least_squares
 
 from ..checks import Array
 from ..errors import InvalidInputError, MissingExtraError
-from .arm import BASE, HOME, JOINT_LIMITS, VELOCITY_LIMITS, ArmVector
+from ..robots.arm import PANDA
+from .arm import ArmVector
 from .single import BlockReach
+
+JOINT_LIMITS = np.array([
+    [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
+    [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
+])  # fmt: skip
+"""Least and greatest angle of each joint, `(2, 7)` [rad] (Franka's documentation)."""
 
 _ARM, _FINGERS = list(range(7)), [9, 10]
 _DOWN = np.array([1.0, 0.0, 0.0, 0.0])
@@ -37,8 +44,8 @@ _BOUNDS[1, 3] = -0.46
 elbow would turn over."""
 
 _LEVERS = 3e-3, 1e-5
-"""Cost [m] of a radian of the gripper's tilt, and of a radian between a joint and `HOME`, when the
-arm is placed. In the far upper corners the gripper tilts a little to reach its place."""
+"""Cost [m] of a radian of the gripper's tilt, and of a radian between a joint and the arm's home,
+when the arm is placed. In the far upper corners the gripper tilts a little to reach its place."""
 
 # Links that are not neighbours and may meet in the workspace: the forearm, the wrist and the hand
 # with the base, the shoulder and the upper arm. −1 is the base.
@@ -112,14 +119,14 @@ class _World:
             self.sim.create_plane(z_offset=-0.4)
             self.sim.create_table(length=1.1, width=0.7, height=0.4, x_offset=-0.3)
             self.arm = panda(
-                self.sim, block_gripper=True, base_position=BASE.copy(), control_type="ee"
+                self.sim, block_gripper=True, base_position=PANDA.base[:3].copy(), control_type="ee"
             )
         # A client that outlives PyBullet's module prints an error when it is collected.
         atexit.register(self.sim.close)
         self.client = self.sim.physics_client
         self.body = self.sim._bodies_idx["panda"]
         self.table = self.sim._bodies_idx["table"]
-        self.set_joints(HOME)
+        self.set_joints(PANDA.home)
         self._fresh = self.client.saveState()
 
     def joints(self) -> Array:
@@ -134,7 +141,7 @@ class _World:
     def place(self, position: Array) -> Array:
         """Put the arm at rest at `position (3,)` [m] from a fresh state; return where it is."""
         self.client.restoreState(self._fresh)
-        angles = least_squares(self._error, HOME, method="lm", xtol=1e-8, args=(position,)).x
+        angles = least_squares(self._error, PANDA.home, method="lm", xtol=1e-8, args=(position,)).x
         self.set_joints(angles)
         self._hold(angles)
         return self._position()
@@ -151,7 +158,7 @@ class _World:
             body, self.arm.ee_link, target, _DOWN, maxNumIterations=_IK_STEPS
         )
         wanted = np.clip(solution[:7], *_BOUNDS)
-        fastest = (np.abs(wanted - angles) / VELOCITY_LIMITS).max() / _TIME_STEP
+        fastest = (np.abs(wanted - angles) / PANDA.limits.velocity).max() / _TIME_STEP
         self._hold(wanted, min(_GAIN, _SPEED_SHARE / max(fastest, 1e-9)))
         contacts, states = 0, []
         for _ in range(substeps):
@@ -162,7 +169,7 @@ class _World:
         collided = any(client.getClosestPoints(body, body, 0.0, a, b) for a, b in _PAIRS)
         low, high = JOINT_LIMITS
         beyond = ((angle < low) | (angle > high)).any(-1)
-        fast = (np.abs(speed) > VELOCITY_LIMITS).any(-1)
+        fast = (np.abs(speed) > PANDA.limits.velocity).any(-1)
         return self._position(), [contacts, int(collided), int(beyond.sum()), int(fast.sum())]
 
     def _hold(self, angles: Array, gain: float = _GAIN) -> None:
@@ -181,7 +188,7 @@ class _World:
 
     def _error(self, angles: Array, position: Array) -> Array:
         """Distance of the arm at `angles (7,)` [rad] to `position (3,)` [m], to a gripper that
-        points down and to `HOME`: `(13,)` [m]; see `_LEVERS` for angles.
+        points down and to the home: `(13,)` [m]; see `_LEVERS` for angles.
         """
         self.set_joints(angles)
         state = self.client.getLinkState(self.body, self.arm.ee_link, computeForwardKinematics=1)
@@ -189,7 +196,8 @@ class _World:
         # The inverse of the orientation times _DOWN; twice its vector part for small angles.
         turn = 2 * np.sign(x) * np.array([w, z, -y])
         gripper, posture = _LEVERS
-        return np.concatenate([state[0] - position, -gripper * turn, posture * (angles - HOME)])
+        apart = posture * (angles - PANDA.home)
+        return np.concatenate([state[0] - position, -gripper * turn, apart])
 
 
 _IDLE: list[_World] = []

@@ -255,7 +255,7 @@ def _tuned(
             other = {**best, "execute": execute, "guidance_decay": decay}
             rows += tried(other.pop("network"), {key: (value,) for key, value in other.items()})
         chosen = best_guidance(rows, names, lambda row, m=metric: TESTED[m] * row[m])
-        guided = copy.copy(models.guided[chosen["network"]])
+        guided = copy.copy(models.guided[int(chosen["network"])])
         guided.config = replace(guided.config, **{k: chosen[k] for k in names if k != "network"})
         tuned[name] = models._replace(guided=[guided])
         tuning[name] = {"chosen": chosen, "tried": rows}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,11 @@ from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import Observer
 from ..scene import TOUCH, Scene
 from .archive import Archive, scene_archive
+
+if TYPE_CHECKING:
+    from ..robots.arm import Arm
+    from ..robots.limits import Limits
+    from .timed import Motion
 
 CHECK_POINTS = 768
 """Points at which a path is checked for contact."""
@@ -95,6 +101,33 @@ class Path:
     def achieved(self) -> Array:
         """The label in [−1, 1] that the trajectory achieves in the scene's archive, `(B?)`."""
         return self.archive.label_of(self.score)
+
+    def timed(
+        self,
+        limits: Limits | str | None = None,
+        rate: float = 100.0,
+        *,
+        arm: Arm | str | None = None,
+        max_duration: float | None = None,
+    ) -> Motion:
+        """The path over time: from rest to rest, as fast as the limits allow, on the same curve.
+
+        Args:
+            limits: of an arm's joints or of a point, or their name in `legibility.robots.LIMITS`;
+                if not given, those of the arm, or `point` without one.
+            rate: instants in a second [1/s].
+            arm: that moves, or its name; the Panda if `limits` names some of it.
+            max_duration: longest duration [s].
+
+        Raises:
+            InvalidInputError: an argument is out of its range or does not fit the others, the path
+                has several levels, the arm cannot reach a point of it, or the limits take longer.
+            MissingExtraError: toppra is not installed, or MuJoCo for an arm.
+        """
+        from .timed import mover, timed
+
+        limits, arm = mover(limits, arm)
+        return timed(self, limits, rate, arm, max_duration)
 
     def __len__(self) -> int:
         """B, the number of levels."""

@@ -1,0 +1,208 @@
+"""When a motion is where on its curve: as fast as limits allow, at rest at both ends.
+
+The fastest timing within velocities and accelerations (TOPP-RA, Pham and Pham 2018, by toppra)
+jumps in its acceleration. A moving average over some milliseconds turns the jumps into slopes,
+which bounds the jerk; a little more time for the whole motion then keeps every limit.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
+
+from ..checks import Array
+from ..errors import LegibilityError, MissingExtraError
+from ..robots.limits import Limits
+
+_INTERVALS = 200
+"""Parts of the curve, in each of which d²s/dt² is constant before it is averaged."""
+
+_TINY = 1e-6
+"""Length of a derivative below which it bounds nothing [m or rad]."""
+
+_SIDES = 8
+"""Pairs of sides of the polygon inside the circle that bounds a point's acceleration."""
+
+_STEP = 5e-4
+"""Time between two checks of the limits [s]."""
+
+_CHECKS = 200
+"""Checks by which the moving average is chosen."""
+
+_MARGIN = 1e-3
+"""Share of the limits that is left for what lies between two checks."""
+
+_WINDOWS = 0.004 * 1.5 ** np.arange(12)
+"""Lengths of the moving average to choose from [s]."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """What keeps limits along a curve: the joints of an arm, or a point.
+
+    Attributes:
+        spline: its positions `(T, C)` at s `(T,)` from 0 to 1.
+        limits: of all its C joints, or of a point with C coordinates.
+    """
+
+    spline: BSpline
+    limits: Limits
+
+    @classmethod
+    def through(cls, places: Array, positions: Array, limits: Limits) -> Course:
+        """The quintic spline through `positions (N, C)` at s = `places (N,)`."""
+        return cls(make_interp_spline(places, positions, k=5), limits)
+
+    def over_time(self, rates: Array) -> Array:
+        """Position, velocity, acceleration and jerk, `(4, T, C)`.
+
+        Args:
+            rates: s and its first three derivatives in time, `(4, T)`.
+        """
+        speed, change, jerk = rates[1:, :, None]
+        place, slope, bend, twist = (self.spline(rates[0], nu) for nu in range(4))
+        return np.stack([
+            place,
+            slope * speed,
+            bend * speed**2 + slope * change,
+            twist * speed**3 + 3 * bend * speed * change + slope * jerk,
+        ])  # fmt: skip
+
+    def shares(self, rates: Array) -> Array:
+        """The greatest velocity, acceleration and jerk over their limits, `(3,)`."""
+        place, *derivatives = self.over_time(rates)
+        limits = self.limits.velocity_at(place), self.limits.acceleration, self.limits.jerk
+        pairs = zip(derivatives, limits, strict=True)
+        return np.array([(self._size(x) / limit).max() for x, limit in pairs])
+
+    def bounds(self, s: Array) -> tuple[Array, Array, Array]:
+        """What bounds the timing at `s (N,)`: its accelerations, and its greatest speed.
+
+        With the speed v = ds/dt and u = d²s/dt² the accelerations are below their limits where
+        `|first u + second v²| ≤ 1`.
+
+        Returns:
+            first and second `(N, M)`, and the greatest v², `(N,)`.
+        """
+        place, slope, bend, twist = (self.spline(s, nu) for nu in range(4))
+        limits = self.limits
+        speed = limits.velocity_at(place) / np.maximum(self._size(slope), _TINY)
+        jerk = (limits.jerk / np.maximum(self._size(twist), _TINY)) ** (1 / 3)
+        fastest = np.minimum(speed, jerk).reshape(len(s), -1).min(1) ** 2
+        if limits.joints:
+            return slope / limits.acceleration, bend / limits.acceleration, fastest
+        # A point's acceleration lies in the plane of the slope and the bend.
+        length = self._size(slope)
+        along = slope / np.maximum(length, _TINY)[:, None]
+        forward = (bend * along).sum(-1)
+        aside = self._size(bend - forward[:, None] * along)
+        angles = np.pi * np.arange(_SIDES) / _SIDES
+        within = limits.acceleration * np.cos(np.pi / (2 * _SIDES))
+        first = np.cos(angles) * length[:, None] / within
+        second = (np.cos(angles) * forward[:, None] + np.sin(angles) * aside[:, None]) / within
+        return first, second, fastest
+
+    def _size(self, vectors: Array) -> Array:
+        """Of each joint `(T, C)`, or of the vectors of a point `(T,)`."""
+        return np.abs(vectors) if self.limits.joints else np.linalg.norm(vectors, axis=-1)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How s runs from 0 to 1 over time.
+
+    Attributes:
+        integral: of the fastest timing within velocities and accelerations over its own time,
+            from some time before it starts to some time after it ends.
+        length: of that timing [s].
+        window: of the moving average [s].
+        duration: of the motion [s].
+    """
+
+    integral: PPoly
+    length: float
+    window: float
+    duration: float
+
+    def rates(self, times: Array) -> Array:
+        """s and its first three derivatives at `times (T,)` [s], `(4, T)`."""
+        scale = (self.length + self.window) / self.duration
+        now = np.clip(times, 0, self.duration) * scale - self.window / 2
+        ahead, behind = now + self.window / 2, now - self.window / 2
+        found = [self.integral(ahead, nu) - self.integral(behind, nu) for nu in range(4)]
+        rates = np.stack(found) / self.window * (scale ** np.arange(4))[:, None]
+        rates[0] = np.clip(rates[0], 0, 1)  # rounding
+        return rates
+
+
+def fastest(courses: Sequence[Course]) -> Timing:
+    """The timing of a motion, from rest to rest, that keeps the limits of all `courses`.
+
+    Raises:
+        LegibilityError: none was found.
+        MissingExtraError: toppra is not installed.
+    """
+    s, speeds = _without_jerk(courses)
+    steps = 2 * np.diff(s) / (speeds[1:] + speeds[:-1])
+    times = np.concatenate([[0], np.cumsum(steps)])
+    changes = np.diff(speeds) / steps
+    around = 2 * _WINDOWS[-1]
+    pieces = np.stack([changes / 2, speeds[:-1], s[:-1]])
+    before, after = [[0.0], [0.0], [0.0]], [[0.0], [0.0], [1.0]]
+    knots = np.concatenate([[-around], times, [times[-1] + around]])
+    integral = PPoly(np.concatenate([before, pieces, after], axis=1), knots).antiderivative()
+    tried = [
+        _stretched(courses, Timing(integral, times[-1], w, times[-1] + w), _CHECKS)
+        for w in _WINDOWS
+    ]
+    best = min(tried, key=lambda timing: timing.duration)
+    return _stretched(courses, best, int(np.ceil(best.duration / _STEP)) + 1)
+
+
+def _stretched(courses: Sequence[Course], timing: Timing, number: int) -> Timing:
+    """The same with the duration that the limits need at `number` equally spaced times."""
+    rates = timing.rates(np.linspace(0, timing.duration, number))
+    shares = np.max([course.shares(rates) for course in courses], axis=0) / (1 - _MARGIN)
+    longer = float((shares ** (1 / np.arange(1, 4))).max())
+    return Timing(timing.integral, timing.length, timing.window, timing.duration * longer)
+
+
+def _without_jerk(courses: Sequence[Course]) -> tuple[Array, Array]:
+    """The fastest timing within velocities and accelerations: s `(N,)`, and ds/dt `(N,)` there."""
+    toppra = _import_toppra()
+    s = np.linspace(0, 1, _INTERVALS + 1)
+    first, second, most = zip(*(course.bounds(s) for course in courses), strict=True)
+    first, second = np.concatenate(first, axis=1), np.concatenate(second, axis=1)
+
+    both = np.eye(first.shape[1])
+    speed = np.stack([np.zeros(len(s)), np.min(most, axis=0)], axis=1)
+    # Bounded at both ends of each interval: bounded at one, the acceleration chatters.
+    form = toppra.constraint.linear_constraint.canlinear_colloc_to_interpolate(
+        first, second, np.zeros_like(first), np.concatenate([both, -both]),
+        np.ones(2 * len(both)), None, speed, s, identical=True,
+    )  # fmt: skip
+    bounds = toppra.constraint.LinearConstraint()
+    bounds.identical, bounds.compute_constraint_params = True, lambda *_: form
+    line = toppra.SplineInterpolator([0, 1], [[0.0], [1.0]])  # the bounds know the curve
+    solver = toppra.algorithm.TOPPRA([bounds], line, gridpoints=s, solver_wrapper="seidel")
+    speeds = solver.compute_parameterization(0, 0)[1]
+    if speeds is None or not np.isfinite(speeds).all() or (speeds[1:-1] <= 0).any():
+        raise LegibilityError("no timing of the motion was found that keeps the limits")
+    return s, speeds
+
+
+@functools.cache
+def _import_toppra() -> Any:
+    """toppra, loaded on first use."""
+    try:
+        import toppra
+    except ModuleNotFoundError as cause:
+        raise MissingExtraError(
+            "toppra is not installed: pip install 'legibility[timing]'"
+        ) from cause
+    return toppra

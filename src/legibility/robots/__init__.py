@@ -1,0 +1,1 @@
+"""Arms, their limits, and the files that their controllers read."""
