@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 
+import gymnasium
 import numpy as np
 import pytest
 from arms import ur5e
@@ -297,6 +298,9 @@ class TestAnotherArm:
         from legibility.drivers import Feedback
         from legibility.envs.panda import PandaBlockReachVector
 
+        one = gymnasium.make("legibility/PandaBlockReach-v0", arm=arm)
+        assert one.reset(seed=0)[0]["position"].shape == (3,)
+        one.close()
         env = PandaBlockReachVector(2, arm=arm)
         env.reset(seed=[0, 1], options={"num_goals": 2, "target": 0})
         modulator = Modulator.from_pretrained("panda-block-reach")

@@ -187,6 +187,8 @@ class PandaBlockReach(BlockReach):
 
     * `response`, `delay`: τ [s] and the delay [s]; drawn by default.
 
+    `gymnasium.make(…, arm=…)` takes any `legibility.Arm` that reaches the workspace instead.
+
     ## Version History
     * v0: the first.
     """

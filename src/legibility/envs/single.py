@@ -29,11 +29,13 @@ class BlockReach(gymnasium.Env[dict[str, Any], Array]):
         rate = cls.batch_type.metadata["render_fps"]
         cls.metadata = {**BlockReach.metadata, "render_fps": rate}
 
-    def __init__(self, *, max_goals: int = 6, render_mode: str | None = None) -> None:
+    def __init__(
+        self, *, max_goals: int = 6, render_mode: str | None = None, **settings: Any
+    ) -> None:
         check_render_mode(render_mode, self.metadata["render_modes"])
         # Gymnasium's wrapper limits the steps.
         self.batch = self.batch_type(
-            1, max_goals=max_goals, max_episode_steps=2**31, render_mode="rgb_array"
+            1, max_goals=max_goals, max_episode_steps=2**31, render_mode="rgb_array", **settings
         )
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
