@@ -10,6 +10,7 @@ from legibility.evaluation.external import METHODS as EXTERNAL_PLANNERS
 from legibility.evaluation.external import METRICS as EXTERNAL_METRICS
 from legibility.evaluation.eyes import EYES
 from legibility.evaluation.single_scene import ROWS as ROWS_OF_ONE_SCENE
+from legibility.evaluation.timing import METRICS as TIMED
 
 MODEL = {"name": "m", "path": "a" * 64, "policy": "b" * 64}
 OF_MOTIONS = {"success", "deviation"}
@@ -102,6 +103,18 @@ def external():
         "command": "legibility evaluate external --seed 7", "seed": 7, "model": MODEL,
         "config": {"scenes": 50, "regime": "obstacles", "goals": [2, 6], "levels": 11},
         "result": {"methods": dict.fromkeys(EXTERNAL_PLANNERS, method)},
+    }  # fmt: skip
+
+
+def timing():
+    row = {"median": 0.5, "percentile": 0.875, "greatest": 0.9375}
+    return {
+        "command": "legibility evaluate timing --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 50, "regime": "dragan", "goals": [2, 4], "levels": 5,
+                   "limits": "fr3", "arm": None},
+        "result": {"metrics": dict.fromkeys(TIMED, row), "error": summary(0.0625),
+                   "planned": summary(0.0625), "motions": 249, "refused": 1,
+                   "why": ["its hand touches table after 0.50 s"], "moves": "panda"},
     }  # fmt: skip
 
 

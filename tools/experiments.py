@@ -24,11 +24,11 @@ from legibility.cli.output import model_record
 from legibility.errors import InvalidInputError, LegibilityError
 from legibility.files import read_text
 
-_MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym"}
+_MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym", "timing": "toppra"}
 """A module of each extra."""
 _PARALLEL = (
     "dial", "eyes", "planning", "optimum", "external", "execution", "table1", "unseen",
-    "single-scene", "ablations",
+    "single-scene", "ablations", "timing",
 )  # fmt: skip
 """Evaluations with `--workers`, which does not change their metrics."""
 

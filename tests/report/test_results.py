@@ -16,7 +16,7 @@ ALL = {
     "execution": documents.execution(), "transfer": documents.transfer(),
     "table1": documents.table1(), "unseen": documents.unseen(), "spectrum": documents.spectrum(),
     "ablations": documents.ablations(), "single-scene": documents.single_scene(),
-    "external": documents.external(),
+    "external": documents.external(), "timing": documents.timing(),
 }  # fmt: skip
 
 

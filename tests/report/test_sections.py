@@ -11,7 +11,12 @@ from legibility.report.comparisons import (
     table1_section,
     unseen_section,
 )
-from legibility.report.sections import ablations_section, execution_section, spectrum_section
+from legibility.report.sections import (
+    ablations_section,
+    execution_section,
+    spectrum_section,
+    timing_section,
+)
 from legibility.report.table import Bold, Table
 
 
@@ -21,6 +26,14 @@ def text_of(section):
 
 def tables_of(section):
     return [part for part in section if isinstance(part, Table)]
+
+
+def test_timing():
+    section = timing_section(documents.timing())
+    (table,) = tables_of(section)
+    assert table.rows[0] == ("greatest velocity over its limit", "0.500", "0.875", "0.938")
+    assert "250 motions of panda at 5 levels" in text_of(section)
+    assert "1 motions were refused, as the arm cannot follow their paths" in text_of(section)
 
 
 class TestExecution:

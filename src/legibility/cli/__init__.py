@@ -29,6 +29,7 @@ _VERBS = {
     "evaluate eyes": "measure how one observer's dial looks to every other observer",
     "evaluate planning": "measure error against planning time, beside search and archives",
     "evaluate optimum": "compare plans with the best motions of their length and with a bound",
+    "evaluate timing": "check that timed motions keep their limits, and what they cost",
     "evaluate external": "rate motions, ours and yours, by other people's definitions",
     "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",

@@ -24,6 +24,7 @@ _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig)
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
 _Unseen = Annotated[Any, arg(constructor=flags(configuration.UnseenConfig))]
 _Spectrum = Annotated[Any, arg(constructor=flags(configuration.SpectrumConfig))]
+_Timing = Annotated[Any, arg(constructor=flags(configuration.TimingConfig))]
 _External = Annotated[Any, arg(constructor=flags(configuration.ExternalConfig))]
 _SingleScene = Annotated[Any, arg(constructor=flags(configuration.SingleSceneConfig))]
 _Ablations = Annotated[Any, arg(constructor=flags(configuration.AblationsConfig))]
@@ -124,6 +125,17 @@ def external(
         raise InvalidInputError("--target belongs to --scene")
     settings = configuration.ExternalConfig
     _evaluate("external", settings, evaluation, model, json, workers=workers, given=given)
+
+
+def timing(
+    evaluation: _Timing, workers: Workers, model: _Model = MODEL, json: _Json = None
+) -> None:
+    """Check that timed motions keep their limits, and what they cost.
+
+    By finite differences at 1 kHz, as a controller sees them, of a point or of any arm.
+    """
+    settings = configuration.TimingConfig
+    _evaluate("timing", settings, evaluation, model, json, workers=workers)
 
 
 def _your_motions(scene: Scene, target: int, file: Path) -> tuple[Scene, int, dict[str, Any]]:
@@ -243,7 +255,7 @@ _ENDS = 0.01
 _MODULES = {"table1": "comparison", "unseen": "comparison"}
 """The modules of evaluations that have another name."""
 
-_PLANS = ("dial", "eyes", "planning", "optimum", "external")
+_PLANS = ("dial", "eyes", "planning", "optimum", "external", "timing")
 """Evaluations of scenes, by stage 1 alone unless the loop is closed."""
 
 

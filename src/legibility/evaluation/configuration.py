@@ -183,6 +183,28 @@ class ExternalConfig(HeldOutScenes):
 
 
 @dataclass(frozen=True)
+class TimingConfig(HeldOutScenes):
+    """Settings of the evaluation.
+
+    Attributes:
+        levels: levels of ℓ at equal steps from −1 to 1, a motion each.
+        limits: that motions keep: point, panda, fr3 or moveit-panda; if not given, those of the
+            arm, or point.
+        arm: panda, or a .yaml or .json file of one; if not given, a point moves, or the Panda where
+            limits are its.
+    """
+
+    levels: int = 5
+    limits: str | None = None
+    arm: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_counts(self, levels=2)
+        self._check_regime(("dragan", "obstacles"))
+
+
+@dataclass(frozen=True)
 class ExecutionConfig(HeldOutScenes):
     """Settings of the evaluation.
 

@@ -48,6 +48,7 @@ class Motion:
         joint_positions: `(T, J)` [rad]; J = 0 without an arm.
         joint_velocities: `(T, J)` [rad/s].
         joint_accelerations: `(T, J)` [rad/s²].
+        shortest: duration [s] that velocities and accelerations alone would allow.
         frame: of positions, velocities and accelerations, one of `FRAMES`.
     """
 
@@ -58,6 +59,7 @@ class Motion:
     positions: Array
     velocities: Array
     accelerations: Array
+    shortest: float
     joint_positions: Array = field(default_factory=lambda: np.empty((0, 0)))
     joint_velocities: Array = field(default_factory=lambda: np.empty((0, 0)))
     joint_accelerations: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -178,7 +180,10 @@ def timed(
         )
     times = np.arange(steps + 1) / rate
     rates = replace(timing, duration=duration).rates(times)
-    motion = Motion(path, limits, arm, times, *Course(curve, limits).over_time(rates)[:3])
+    positions, velocities, accelerations, _ = Course(curve, limits).over_time(rates)
+    motion = Motion(
+        path, limits, arm, times, positions, velocities, accelerations, float(timing.length)
+    )
     if arm is None:
         return motion
     steps_apart = max(1, int(len(times) / (path.length / _APART)))

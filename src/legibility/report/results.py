@@ -17,6 +17,7 @@ from .sections import (
     optimum_section,
     planning_section,
     spectrum_section,
+    timing_section,
 )
 from .table import Part, Table, markdown, number, three_digits
 
@@ -46,6 +47,7 @@ KINDS = {
     ),
     "optimum": Kind("Of what is possible", optimum_section),
     "external": Kind("By other people's definitions", external_section),
+    "timing": Kind("Timed motions", timing_section),
     "execution": Kind("Execution", execution_section),
     "transfer": Kind("Transfer to another simulator", execution_section),
     "unseen": Kind("Table I's methods on held-out scenes", unseen_section),

@@ -6,6 +6,7 @@ from ..evaluation.ablations import COLUMNS
 from ..evaluation.execution import ROWS
 from ..evaluation.eyes import EYES
 from ..evaluation.planning import PLACES, planner_text
+from ..evaluation.timing import METRICS as TIMED
 from .dials import REGIMES, goals_of, means, percent, scenes_of
 from .table import Part, Table, number, three_digits
 
@@ -62,6 +63,33 @@ def ablations_section(document: dict[str, Any]) -> list[Part]:
         "straight line.",
         table,
     ]
+
+
+def timing_section(document: dict[str, Any]) -> list[Part]:
+    """Timed motions: their limits, their time, and what they show."""
+    config, result = document["config"], document["result"]
+    table = Table("of a motion", "median", "99th percentile", "greatest", left=range(1))
+    for name, text in TIMED.items():
+        row = result["metrics"][name]
+        table.add_row(text, *(three_digits(row[k]) for k in ("median", "percentile", "greatest")))
+    error, planned = (three_digits(result[key]["mean"]) for key in ("error", "planned"))
+    number = result["motions"] + result["refused"]
+    parts: list[Part] = [
+        f"{scenes_of(document)}; {number:,} motions of {result['moves']} at {config['levels']} "
+        "levels of ℓ, 1,000 instants a second. Velocity, acceleration and jerk are finite "
+        "differences of positions, with rest before and after. The deviation is that of an arm's "
+        "grasp point by its joint angles. The bound on the duration is that of the fastest timing "
+        "within velocities and accelerations, which jumps in its acceleration. The error of ℓ of "
+        f"the motions as timed is {error}, that of the plans {planned}.",
+        table,
+    ]
+    if result["refused"]:
+        reasons = "; ".join(result["why"])
+        parts.append(
+            f"{result['refused']} motions were refused, as the arm cannot follow their paths, for "
+            f"example: {reasons}."
+        )
+    return parts
 
 
 def execution_section(document: dict[str, Any]) -> list[Part]:
