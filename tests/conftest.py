@@ -1,8 +1,10 @@
+import functools
 import os
 import platform
 import re
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 settings.register_profile("legibility", derandomize=True, deadline=None, max_examples=50)
@@ -26,3 +28,17 @@ def pytest_report_header() -> str:
         f"PyTorch {torch.__version__} with {torch.backends.cpu.get_cpu_capability()}",
         *limits,
     ])  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def coarsely():
+    """Archives are built from fewer curves, for these tests alone."""
+    from legibility.motion import archive as archives
+
+    small = functools.partial(archives.build_archive, max_candidates=12_288)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(archives, "build_archive", small)
+        patch.setattr("legibility.data.configuration.build_archive", small)
+        yield
+    for cache in (archives.scene_archive, archives._geometry):
+        cache.cache_clear()

@@ -11,6 +11,8 @@ from legibility.report.sections import bench_section
 from legibility.report.table import Table, markdown
 from legibility.training.configuration import PathTrainingConfig
 
+pytestmark = pytest.mark.usefixtures("coarsely")
+
 TINY = (
     "bench --model block-reach-2d --seconds 0.001 --rounds 1 --threads 1 --batches 1 2 --goals 2 4"
     " --robots 2 --dataset 1 --training-steps 1 --json"

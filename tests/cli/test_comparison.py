@@ -7,6 +7,8 @@ import pytest
 from legibility.evaluation.comparison import METHODS
 from legibility.models.pretrained import load_stages
 
+pytestmark = pytest.mark.usefixtures("coarsely")
+
 
 @pytest.fixture(scope="module")
 def baselines(dataset, shown, cli, tmp_path_factory, one_thread):

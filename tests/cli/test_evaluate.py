@@ -7,6 +7,8 @@ from legibility.evaluation.dial import METRICS
 from legibility.evaluation.execution import ROWS
 from legibility.evaluation.eyes import EYES
 
+pytestmark = pytest.mark.usefixtures("coarsely")
+
 
 def test_dial(here, weights, cli, capsys):
     flags = (
@@ -91,7 +93,8 @@ def test_ablations(here, dataset, weights, cli, one_thread, monkeypatch, capsys)
     assert content["model"]["name"] == weights
     rows = content["result"]["rows"]
     assert list(rows) == [
-        "as-shipped", "reference", "guidance-0", "steps-1", "distilled", "without-label-loss",
+        "as-shipped", "reference", "guidance-0", "steps-1", "another-seed", "twice-the-steps",
+        "distilled", "without-label-loss",
         "without-contact-loss", "without-jerk-loss", "without-field", "rank-label", "long-ways",
         "scenes-4",
     ]  # fmt: skip

@@ -17,6 +17,8 @@ from legibility.cli import main
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.modulator import Modulator
 
+pytestmark = pytest.mark.usefixtures("coarsely")
+
 LINE = "execute scene.yaml --target 1 --legibility -1:1:3 --seed 4 --push 0.1 --noise 0.001"
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from legibility.files import file_hash
 
+pytestmark = pytest.mark.usefixtures("coarsely")
+
 KINDS = ("dial", "closed-loop", "execution")
 NAMES = ("dial-tiny-dragan", "dial-tiny-all", "closed-loop-tiny", "execution-tiny")
 

@@ -1,6 +1,5 @@
 """Models for evaluations: one that has learned nothing, and one that meets every ℓ exactly."""
 
-import functools
 import json
 import shutil
 
@@ -13,7 +12,6 @@ from legibility.models.diffusion import noise_schedule
 from legibility.models.path_diffuser import PathDiffuser
 from legibility.models.pretrained import load_stages, pretrained_folder
 from legibility.modulator import Modulator
-from legibility.motion import archive as archives
 
 
 class Exact(Modulator):
@@ -31,18 +29,6 @@ def untrained(dim=2):
     model.spread.fill_(0.5)
     model.signal.copy_(noise_schedule(100))
     return model
-
-
-@pytest.fixture(scope="module")
-def coarsely():
-    """Archives are built from fewer curves, for these tests alone."""
-    small = functools.partial(archives.build_archive, max_candidates=12_288)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(archives, "build_archive", small)
-        patch.setattr("legibility.data.configuration.build_archive", small)
-        yield
-    for cache in (archives.scene_archive, archives._geometry):
-        cache.cache_clear()
 
 
 @pytest.fixture(scope="session")
