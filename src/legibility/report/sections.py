@@ -59,8 +59,8 @@ def ablations_section(document: dict[str, Any]) -> list[Part]:
         "samples of each, as the network draws them; the column before the last is of the plans "
         f"that a user gets. Small runs have only {config['training_steps']:,} training steps of "
         f"{config['batch_scenes']} scenes; compare them with the first one. The loss on labels is "
-        "a differentiable form of the error reported here. On rank labels ℓ = 0 is not the "
-        "straight line.",
+        "a differentiable form of the error reported here. Paths of the run without the field are "
+        "only moved out of contact, not to ℓ. On rank labels ℓ = 0 is not the straight line.",
         table,
     ]
 
