@@ -118,7 +118,8 @@ def test_measurements_stand_in_tables(results):
     assert f"({two} % of them in 2-D, {arm} % on the Panda, " in prose
     assert "{} and {} % with any room and observer)".format(*any_room) in prose
     settings = {"README": {"3.11", "0.05"}, "training": {"0.05", "1.15"},
-                "method": {"0.15", "0.08", "2.5", "0.05", "0.02", "0.4"}}  # fmt: skip
+                "method": {"0.15", "0.08", "2.5", "0.05", "0.02", "0.4"},
+                "robots": {"0.5", "0.96", "0.8", "0.27"}}  # fmt: skip
     for document in DOCUMENTS:
         if document.stem == "results":
             continue

@@ -190,14 +190,20 @@ class TestTimed:
     @pytest.mark.parametrize(
         ("words", "message"),
         [
-            ("--arm panda", "--arm is of timed motions: add --out"),
+            ("--arm panda", "--arm needs --out, the file of a timed motion"),
             ("--out m.txt --legibility 1", "its name must end in .csv, .json, .mcap"),
-            ("--out m.csv --legibility 1 1", "legibility names one twice"),
+            ("--rate 50", "--rate needs --out"),
+            ("--frame base", "--frame needs --out"),
+            ("--out m.csv --legibility 1 1", "two outputs have the file m_1.csv"),
+            ("--out m.csv --legibility 1 --csv m.csv", "two outputs have the file m.csv"),
+            ("--out m.csv --frame base", "frame must be one of world without an arm, got 'base'"),
+            ("--out m.csv --arm panda", "an arm moves in 3-D, the scene is 2-D"),
+            ("--out m.csv --max-duration -1", "max_duration must be a number above 0, got -1"),
             ("--out m.csv --rate 0", "rate must be a number above 0, got 0"),
             ("--out m.csv --limits slow", "limits must be one of panda, fr3, moveit-panda, point"),
             ("--out m.csv --arm scene.yaml", "does not describe an arm"),
             ("--out m.csv --legibility 1 --max-duration 0.01", "longer than max_duration 0.01 s"),
-            ("--out m.csv --frame tool", "frame must be one of world, base, got 'tool'"),
+            ("--out m.csv --frame tool", "frame must be one of world without an arm, got 'tool'"),
         ],
     )
     def test_refuses(self, words, message, refused, weights):

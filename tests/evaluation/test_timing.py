@@ -19,7 +19,8 @@ SHORT = TimingConfig(scenes=2, goals=(2, 3), levels=3, seed=3)
 
 
 @pytest.mark.parametrize(
-    ("name", "limits"), [("block-reach-2d", None), ("panda-block-reach", "panda")]
+    ("name", "limits"),
+    [("block-reach-2d", None), ("panda-block-reach", "panda"), ("panda-block-reach", "fr3")],
 )
 def test_limits_are_kept(name, limits, coarsely):
     result = evaluate_timing(

@@ -144,8 +144,8 @@ def test_frames(turn):
         ({"rate": 0}, "rate must be a number above 0, got 0"),
         ({"limits": "ur5e"}, "limits must be one of panda, fr3, moveit-panda, point, got 'ur5e'"),
         ({"arm": "ur5e"}, "arm must be one of panda, or a YAML or JSON file, got 'ur5e'"),
-        ({"limits": "point", "arm": "panda"}, "limits are of a point, what moves is 7 joints"),
-        ({"limits": Limits([1], [1], [1])}, "limits are of 1 joints, what moves is a point"),
+        ({"limits": "point", "arm": "panda"}, "limits are for a point, what moves is 7 joints"),
+        ({"limits": Limits([1], [1], [1])}, "limits are for 1 joints, what moves is a point"),
         ({"max_duration": 0.1}, r"takes \d\.\d+ s within the limits, longer than max_duration 0.1"),
         ({"max_duration": -1}, "max_duration must be a number above 0, got -1"),
     ],
@@ -153,6 +153,64 @@ def test_frames(turn):
 def test_refuses(arguments, message):
     with pytest.raises(InvalidInputError, match=message):
         solid_path().timed(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("size", "limits"),
+    [
+        (0.45, Limits(0.5, 0.01, 0.01)),  # slow to speed up
+        (1.0, Limits(0.004, 1, 10)),  # minutes
+        (50.0, Limits(1, 1, 10)),
+        (1e-5, Limits(0.5, 2, 20)),
+        (1.0, Limits(1e3, 1e5, 1e8)),
+    ],
+)
+def test_any_size_and_speed(size, limits):
+    scene = lg.Scene(start=[0, 0], goals=[[size, 0], [0, size]],
+                     workspace=[[-size, -size], [2 * size, 2 * size]])  # fmt: skip
+    line = np.linspace(scene.start, scene.goals[0], 10)
+    line[1:-1, 1] += 0.1 * size * np.sin(np.linspace(0, np.pi, 8))
+    path = Path.through(line, scene, 0, np.array(0.0), lg.Observer())
+    motion = path.timed(limits, rate=1000)
+    assert shares(motion.positions, 1000, limits).max() <= 1
+    assert motion.bound <= motion.duration <= 1.5 * motion.bound + 0.05
+
+
+def test_what_takes_too_long():
+    path = flat_path()
+    crawl = Limits(1e-6, 1, 1)
+    with pytest.raises(
+        InvalidInputError, match=r"takes \d+.* s within .* longer than max_duration"
+    ):
+        path.timed(crawl, 1.0, max_duration=60)
+    with pytest.raises(InvalidInputError, match="more than 1,000,000 instants at the rate 100"):
+        path.timed(crawl)
+    with pytest.raises(
+        InvalidInputError, match=r"more than 1,000,000 instants at the rate 1e\+300"
+    ):
+        path.timed(rate=1e300)
+
+
+def test_a_joint_that_its_limits_let_move_no_more():
+    """The FR3 stops before the ends of the Panda's range."""
+    stretched = Path.through(
+        np.linspace([0.08, -0.2, 0.39], [0, 0.15, 0.1], 10),
+        lg.Scene(start=[0.08, -0.2, 0.39], goals=[[0, 0.15, 0.1], [0, -0.15, 0.02]]), 0,
+        np.array(0.0), lg.Observer(),
+    )  # fmt: skip
+    low = LIMITS["fr3"]
+    braking = low.braking.copy()
+    braking[1, 0, 1] = 0.5  # joint 2 may not come below
+    bound = Limits(low.velocity, low.acceleration, low.jerk, braking)
+    with pytest.raises(InvalidInputError, match=r"joint 2 comes too near to an end of its range"):
+        stretched.timed(bound, arm=PANDA)
+
+
+@pytest.mark.parametrize("rate", [2, 1000])
+def test_contacts_do_not_hang_on_the_rate(rate):
+    path = solid_path(obstacles=[lg.Ball([-0.3, 0.0, 0.45], 0.08)])
+    with pytest.raises(InvalidInputError, match="touches obstacles"):
+        path.timed("panda", rate)
 
 
 def test_scenes_that_are_not_for_an_arm():
@@ -173,7 +231,7 @@ def test_an_arm_in_the_way():
     path = solid_path(obstacles=[lg.Ball([-0.3, 0.0, 0.45], 0.08)])
     assert path.feasible
     with pytest.raises(
-        InvalidInputError, match=r"its link\d touches obstacles\[0\] after \d\.\d+ s"
+        InvalidInputError, match=r"its link\d touches obstacles\[0\] where its grasp"
     ):
         path.timed("panda")
     assert path.timed("point").duration > 0

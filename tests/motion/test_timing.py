@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from legibility.errors import MissingExtraError
 from legibility.motion import timing
-from legibility.motion.timing import Course, fastest
+from legibility.motion.timing import Course, fastest_timing
 from legibility.robots.limits import LIMITS, Limits
 
 pytest.importorskip("toppra", reason="timing is NOT TESTED: pip install 'legibility[timing]'")
@@ -35,7 +35,7 @@ def differences(positions, order, step):
 @given(seeds, st.sampled_from([0, 1, 7]))
 def test_finite_differences_keep_the_limits(seed, joints):
     one = course(seed, joints)
-    found = fastest([one])
+    found = fastest_timing([one])
     times = np.append(np.arange(0, found.duration, 1e-3), found.duration)[
         : int(found.duration * 1e3)
     ]
@@ -52,7 +52,7 @@ def test_finite_differences_keep_the_limits(seed, joints):
 @given(seeds, st.sampled_from([0, 7]))
 def test_derivatives_are_those_of_the_positions(seed, joints):
     one = course(seed, joints)
-    found = fastest([one])
+    found = fastest_timing([one])
     step = found.duration / 5_000
     times = np.arange(5_001) * step
     values = one.over_time(found.rates(times))
@@ -73,8 +73,8 @@ def test_without_a_bound_on_jerk_it_is_nearly_the_fastest(seed):
     one = course(seed, 7)
     limits = Limits(one.limits.velocity, one.limits.acceleration, np.full(7, 1e6))
     free = Course(one.spline, limits)
-    found = fastest([free])
-    assert found.length < found.duration < 1.15 * found.length
+    found = fastest_timing([free])
+    assert found.bound < found.duration < 1.15 * found.bound
     _, velocity, acceleration, _ = free.over_time(found.rates(np.linspace(0, found.duration, 997)))
     used = np.maximum(
         (np.abs(velocity) / limits.velocity).max(-1),
@@ -87,16 +87,16 @@ def test_a_straight_line_takes_the_time_of_a_trapezium():
     """One metre at 0.5 m/s, 2 m/s², 1000 m/s³: v / a + d / v, and a little for the jerk."""
     line = Course.through(np.linspace(0, 1, 10), np.linspace([0, 0], [0.6, 0.8], 10),
                           Limits(0.5, 2, 1000))  # fmt: skip
-    assert fastest([line]).duration == pytest.approx(0.25 + 2, abs=0.02)
+    assert fastest_timing([line]).duration == pytest.approx(0.25 + 2, abs=0.02)
 
 
 def test_all_courses_keep_their_limits():
     both = course(1, 7), course(2, 0)
-    found = fastest(both)
+    found = fastest_timing(both)
     rates = found.rates(np.linspace(0, found.duration, 2000))
     shares = [one.shares(rates).max() for one in both]
     assert 0.99 < max(shares) <= 1
-    assert found.length >= max(fastest([one]).length for one in both) * 0.999
+    assert found.bound >= max(fastest_timing([one]).bound for one in both) * 0.999
 
 
 def test_velocities_that_hang_on_angles():
@@ -104,11 +104,11 @@ def test_velocities_that_hang_on_angles():
     ends = np.array([[0, 0, 0, -1.6, 0, 2.5, 0], [2.6, 1.6, 0, -0.3, 0, 2.5, 0]])
     shares = np.linspace(0, 1, 10)[:, None]
     one = Course.through(shares[:, 0], ends[0] + shares * (ends[1] - ends[0]), limits)
-    found = fastest([one])
+    found = fastest_timing([one])
     place, velocity, *_ = one.over_time(found.rates(np.linspace(0, found.duration, 3000)))
     assert (np.abs(velocity) / limits.velocity_at(place)).max() <= 1
     free = Course(one.spline, Limits(limits.velocity, limits.acceleration, limits.jerk))
-    assert fastest([free]).duration < found.duration
+    assert fastest_timing([free]).duration < found.duration
 
 
 def test_missing(monkeypatch):
@@ -117,4 +117,4 @@ def test_missing(monkeypatch):
     timing._import_toppra.cache_clear()
     monkeypatch.setitem(sys.modules, "toppra", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'legibility\[timing\]'"):
-        fastest([course(0, 0)])
+        fastest_timing([course(0, 0)])

@@ -373,3 +373,83 @@ class TestAnotherArm:
 def test_an_arm_may_be_what_a_process_is_sent():
     arm = pickle.loads(pickle.dumps(PANDA))
     assert arm.kinematics().solve(LOW) == pytest.approx(KINEMATICS.solve(LOW))
+
+
+ODD = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body pos="0 0 0.1">
+      <geom type="box" size="0.05 0.05 0.05" group="5"/>
+      <body name="a" pos="0 0 0.1">
+        <joint name="turn" axis="0 0 1"/>
+        <geom type="capsule" size="0.03 0.1" contype="0" conaffinity="0"/>
+        <body name="b" pos="0 0 0.3">
+          <joint name="bend" axis="0 1 0" range="-2 2" limited="true"/>
+          <geom type="capsule" size="0.03 0.1" pos="0 0 0.15"/>
+          <site name="tool" pos="0 0 0.3"/>
+          <body name="finger" pos="0 0 0.3">
+            <joint name="grip" type="slide" axis="1 0 0"/>
+            <geom type="box" size="0.01 0.01 0.02"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="bend" kp="900" kv="10" forcerange="-50 50" ctrlrange="-0.1 0.1"/>
+    <motor joint="turn" gear="2" forcerange="-20 20"/>
+    <motor joint="grip"/>
+  </actuator>
+  <keyframe><key qpos="0.1 0.2 0"/></keyframe>
+</mujoco>
+"""
+
+
+class TestOddModel:
+    """No name at the root, no range, looks with the mass, motors in another order, a gripper."""
+
+    @pytest.fixture
+    def odd(self, tmp_path):
+        (file := tmp_path / "odd.xml").write_text(ODD)
+        return Arm(file, "tool", [0.3, 1.2], Limits([2, 2], [10, 10], [100, 100]))
+
+    def test_model(self, odd):
+        model = odd.physics()
+        assert odd.joint_names == ["turn", "bend"]
+        assert odd.base_name == "base"
+        assert odd.joint_range.tolist() == [[-np.inf, -2], [np.inf, 2]]
+        assert model.actuator_trnid[:, 0].tolist() == [0, 1]
+        assert model.actuator_gainprm[:, 0].tolist() == [400 * 20, 900]
+        assert model.actuator_forcerange[:, 1].tolist() == [20, 50]
+        assert model.body("a").mass > 0.1  # that of its looks
+
+    def test_it_stands_where_it_is_told_to(self, odd):
+        home = odd.home[None]
+        angles, _, _ = Simulation(odd).run(home, 0 * home, np.tile(odd.home, (1, 400, 1)))
+        assert angles[0, -1] == pytest.approx(odd.home, abs=1e-3)
+
+    def test_its_own_parts_are_no_obstacles(self, odd):
+        near = Ball(odd.kinematics().grasp_point(odd.home), 0.1)
+        assert odd.first_contact((near,), odd.home[None])[1:] == ("b", "obstacles[0]")
+        assert odd.obstacle_gaps((Ball([5, 5, 5], 0.1),), odd.home[None]) > 0
+
+    def test_what_mujoco_refuses(self, odd, tmp_path):
+        (tmp_path / "odd.xml").write_text(ODD.replace('group="5"', 'mesh="missing" type="mesh"'))
+        with pytest.raises(InvalidInputError, match=r"cannot (read|use) the model .*odd.xml: "):
+            odd.physics()
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"limits": 5}, "limits must be legibility.Limits or a name, got 5"),
+            ({"model": 5}, "model must be a file or a name, got 5"),
+            ({"elbow": True}, "elbow must be a joint from 0 to 1, got True"),
+            ({"lean": 3}, "lean must be of three values, got 3"),
+            ({"lean": (1, (1, 2), -1)}, "lean must be a number above 0, got -1"),
+        ],
+    )
+    def test_refuses(self, odd, changes, message):
+        plain = {"model": odd.model, "site": "tool", "home": odd.home, "limits": odd.limits}
+        with pytest.raises(InvalidInputError, match=message):
+            Arm(**{**plain, **changes})

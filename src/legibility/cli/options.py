@@ -157,33 +157,47 @@ class Timed:
     frame: str = "world"
     max_duration: OptionalFloat = None
 
-    def files(self, asked: Array) -> list[Path]:
-        """The file of each level, once all is checked; none if no motion is to be written."""
-        from ..motion.timed import mover
+    def files(self, asked: Array, dim: int, others: Sequence[Path | None]) -> list[Path]:
+        """The file of each level, once all is checked; none if no motion is to be written.
+
+        `others` are the files that hold something else.
+        """
+        from ..motion.timed import FRAMES, mover
         from ..robots import formats
 
         if self.out is None:
-            names = ("limits", "arm", "max_duration")
-            for flag in [n.replace("_", "-") for n in names if getattr(self, n) is not None]:
-                raise InvalidInputError(f"--{flag} is of timed motions: add --out")
+            for field in dataclasses.fields(self):
+                if getattr(self, field.name) != field.default:
+                    flag = field.name.replace("_", "-")
+                    raise InvalidInputError(f"--{flag} needs --out, the file of a timed motion")
             return []
         positive("rate", self.rate)
-        mover(self.limits, self.arm)
-        if len(np.unique(asked)) < len(asked):
-            raise InvalidInputError("each level has a file of its own, legibility names one twice")
+        if self.max_duration is not None:
+            positive("max_duration", self.max_duration)
+        _, arm = mover(self.limits, self.arm)
+        if arm is not None and dim != 3:
+            raise InvalidInputError(f"an arm moves in 3-D, the scene is {dim}-D")
+        if self.frame not in FRAMES or (self.frame == "base" and arm is None):
+            allowed = ", ".join(FRAMES) if arm is not None else "world without an arm"
+            raise InvalidInputError(f"frame must be one of {allowed}, got {self.frame!r}")
         files = [self.out]
         if len(asked) > 1:
             name = self.out.with_suffix("").name
             files = [self.out.with_name(f"{name}_{x:g}{self.out.suffix}") for x in asked]
-        for file in files:
+        for number, file in enumerate(files):
+            if file in [*files[:number], *others]:
+                raise InvalidInputError(f"two outputs have the file {file}")
             output.check_file(file, "motion")
             formats.check(file)
         return files
 
     def motions(self, path: "Path_") -> "list[Motion]":
         """The timed motion of each level of a path."""
+        from ..motion.timed import mover
+
+        limits, arm = mover(self.limits, self.arm)
         timed = [
-            path[i].timed(self.limits, self.rate, arm=self.arm, max_duration=self.max_duration)
+            path[i].timed(limits, self.rate, arm=arm, max_duration=self.max_duration)
             for i in range(len(path))
         ]
         return [motion.in_frame(self.frame) for motion in timed]

@@ -36,7 +36,7 @@ def plan(
     output.check_file(csv, "CSV file")
     scene, observer, asked, model = motions.read()
     target = motions.target
-    files = timed.files(asked)
+    files = timed.files(asked, scene.dim, (figure, json, csv))
 
     from ..figures.belief import describe
     from ..modulator import Modulator
@@ -69,7 +69,7 @@ def plan(
         config={
             "target": target, "legibility": asked, **options, "observer": observer.to_dict(),
             "points": points,
-            **({"rate": timed.rate, "limits": timed.limits, "arm": timed.arm} if moves else {}),
+            **(vars(timed) if moves else {}),
         },
         model=output.model_record(model, "path"),
         result={

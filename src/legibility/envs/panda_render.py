@@ -20,7 +20,7 @@ from PIL import Image, ImageColor, ImageDraw
 from ..checks import Array, count
 from ..errors import InvalidInputError
 from ..obstacles import Box
-from ..robots.arm import PANDA, Arm
+from ..robots.arm import PANDA, Arm, compiled
 from ..robots.simulator import import_mujoco, solid_geom
 from ..scene import Scene
 from .arm import BLOCK
@@ -226,7 +226,7 @@ def _looks(arm: Arm) -> Any:
     Where a model has no looks, its shapes that collide are drawn.
     """
     mujoco, spec = import_mujoco(), arm.specification()
-    meshes = _franka_meshes() if arm is PANDA else []
+    meshes = _franka_meshes() if arm.model == PANDA.model else []
     if not any(geom.group == 2 for geom in spec.geoms):
         return arm.physics()
     bodies = {body.name: body for body in spec.bodies}
@@ -241,7 +241,7 @@ def _looks(arm: Arm) -> Any:
                 type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba,
                 contype=0, conaffinity=0, mass=0, group=2,
             )  # fmt: skip
-    return spec.compile()
+    return compiled(spec, arm.model)
 
 
 def _franka_meshes() -> list[tuple[str, list[float], dict[str, Any]]]:

@@ -97,13 +97,14 @@ def _measure(modulator: Modulator, config: TimingConfig, index: int) -> dict[str
     (seed,) = plan_seeds(config.seed, index, 1)
     levels = level_steps(config.levels)
     paths = modulator.plan(judge.scene, 0, levels, seed=seed, observer=judge.observer)
+    limits, arm = mover(config.limits, config.arm)
     paths[0].timed("point")  # loads what it needs
     rows, refused = [], []
     for number, asked in enumerate(levels):
         path = paths[number]
         try:
             started = time.perf_counter()
-            motion = path.timed(config.limits, _RATE, arm=config.arm)
+            motion = path.timed(limits, _RATE, arm=arm)
             seconds = time.perf_counter() - started
         except InvalidInputError as problem:
             refused.append(str(problem))
@@ -115,7 +116,7 @@ def _measure(modulator: Modulator, config: TimingConfig, index: int) -> dict[str
         error, planned = np.abs(judge.label_of(scores) - asked).tolist()
         rows.append({
             **_shares(motion), "deviation": 1e3 * deviation, "duration": motion.duration,
-            "over_bound": motion.duration / motion.shortest, "milliseconds": 1e3 * seconds,
+            "over_bound": motion.duration / motion.bound, "milliseconds": 1e3 * seconds,
             "error": error, "planned": planned,
         })  # fmt: skip
     return {"rows": rows, "refused": refused}
@@ -127,9 +128,11 @@ def _shares(motion: Motion) -> dict[str, float]:
     positions = motion.joint_positions if limits.joints else motion.positions
     rest = np.repeat(positions[[0, -1]], 4, axis=0)
     whole = np.concatenate([rest[:4], positions, rest[4:]])
-    fastest = limits.velocity_at(np.concatenate([positions, positions[-1:]]))
-    fastest = fastest if fastest.shape == limits.velocity.shape else fastest.min(0)
-    bounds = {"velocity": fastest, "acceleration": limits.acceleration, "jerk": limits.jerk}
+    bounds = {
+        "velocity": limits.velocity_at(whole[:-1]),
+        "acceleration": limits.acceleration,
+        "jerk": limits.jerk,
+    }
     found = {}
     for order, (name, bound) in enumerate(bounds.items(), 1):
         change = np.diff(whole, n=order, axis=0) * _RATE**order
@@ -142,9 +145,9 @@ def _shares(motion: Motion) -> dict[str, float]:
 
 def _followed(path: Path, motion: Motion) -> tuple[Array, float]:
     """The curve that the motion follows, `(P, D)` [m], and its distance from the plan [m]."""
-    chosen = np.linspace(0, len(motion.times) - 1, _PLACES).round().astype(int)
     if motion.arm is None:
         return motion.positions, 0.0
+    chosen = np.linspace(0, len(motion.times) - 1, _PLACES).round().astype(int)
     kinematics = motion.arm.kinematics()
     curve = np.array([kinematics.grasp_point(angles) for angles in motion.joint_positions])
     planned = path.trajectory(20 * len(curve))

@@ -113,15 +113,17 @@ class Path:
         """The path over time: from rest to rest, as fast as the limits allow, on the same curve.
 
         Args:
-            limits: of an arm's joints or of a point, or their name in `legibility.robots.LIMITS`;
-                if not given, those of the arm, or `point` without one.
+            limits: of an arm's joints or of a point, or their name in `robots.limits.LIMITS`; if
+                not given, those of the arm, or `point` without one.
             rate: instants in a second [1/s].
-            arm: that moves, or its name; the Panda if `limits` names some of it.
+            arm: that moves, or its name; the Panda if `limits` names limits of joints.
             max_duration: longest duration [s].
 
         Raises:
             InvalidInputError: an argument is out of its range or does not fit the others, the path
-                has several levels, the arm cannot reach a point of it, or the limits take longer.
+                has several levels, the arm cannot reach a point of it or touches something on the
+                way, or the limits take longer.
+            LegibilityError: no timing was found.
             MissingExtraError: toppra is not installed, or MuJoCo for an arm.
         """
         from .timed import mover, timed

@@ -15,7 +15,7 @@ from ..errors import InvalidInputError
 from ..intent.metrics import posterior_legibility, score_weights, time_to_confidence
 from ..robots.arm import PANDA, Arm
 from ..robots.limits import Limits
-from .timing import Course, fastest
+from .timing import Course, fastest_timing
 
 if TYPE_CHECKING:
     from .path import Path
@@ -27,7 +27,10 @@ _DEVIATION = 1e-5
 """Distance [m] from the curve above which the joints' spline gets another knot."""
 
 _APART = 0.01
-"""Distance between the places at which the arm is checked for contacts, in the mean [m]."""
+"""Twice the mean distance between the places at which the arm is checked for contacts [m]."""
+
+_INSTANTS = 1_000_000
+"""Most instants of a motion."""
 
 FRAMES = ("world", "base")
 """Where positions are measured: the scene's frame, or the arm's base."""
@@ -45,10 +48,10 @@ class Motion:
         positions: `(T, D)` [m], of the point or the arm's grasp point.
         velocities: `(T, D)` [m/s].
         accelerations: `(T, D)` [m/s²].
-        joint_positions: `(T, J)` [rad]; J = 0 without an arm.
+        joint_positions: `(T, J)` [rad]; `(0, 0)` without an arm.
         joint_velocities: `(T, J)` [rad/s].
         joint_accelerations: `(T, J)` [rad/s²].
-        shortest: duration [s] that velocities and accelerations alone would allow.
+        bound: duration [s] that velocities and accelerations alone would allow.
         frame: of positions, velocities and accelerations, one of `FRAMES`.
     """
 
@@ -59,7 +62,7 @@ class Motion:
     positions: Array
     velocities: Array
     accelerations: Array
-    shortest: float
+    bound: float
     joint_positions: Array = field(default_factory=lambda: np.empty((0, 0)))
     joint_velocities: Array = field(default_factory=lambda: np.empty((0, 0)))
     joint_accelerations: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -125,7 +128,7 @@ class Motion:
         `trajectory_msgs/JointTrajectory` and a `nav_msgs/Path` (extra `ros`).
 
         Raises:
-            OutputError: the file cannot be written, or is a bag that exists.
+            OutputError: the file cannot be written, or is an existing bag.
             MissingExtraError: rosbags is not installed.
         """
         from ..robots.formats import save
@@ -140,12 +143,16 @@ def mover(limits: Limits | str | None, arm: Arm | str | None) -> tuple[Limits, A
         arm = PANDA if arm is None and limits.joints else arm
     if isinstance(arm, str):
         arm = Arm.named(arm)
+    if arm is not None and not isinstance(arm, Arm):
+        raise InvalidInputError(f"arm must be a legibility.Arm or a name, got {arm!r}")
     if limits is None:
         limits = Limits.named("point") if arm is None else arm.limits
+    if not isinstance(limits, Limits):
+        raise InvalidInputError(f"limits must be legibility.Limits or a name, got {limits!r}")
     wanted = 0 if arm is None else arm.joints
     if limits.joints != wanted:
         kinds = [f"{n} joints" if n else "a point" for n in (limits.joints, wanted)]
-        raise InvalidInputError(f"the limits are of {kinds[0]}, what moves is {kinds[1]}")
+        raise InvalidInputError(f"the limits are for {kinds[0]}, what moves is {kinds[1]}")
     return limits, arm
 
 
@@ -170,29 +177,37 @@ def timed(
         courses = [Course(_joints_along(curve, arm), limits)]
         if limits.tip is not None:
             courses.append(Course(curve, limits.tip))
-    timing = fastest(courses)
-    steps = int(np.ceil(timing.duration * rate - 1e-9))
-    duration = steps / rate
-    if max_duration is not None and duration > positive("max_duration", max_duration) + 1e-9:
+    if max_duration is not None:
+        max_duration = positive("max_duration", max_duration)
+    timing = fastest_timing(courses)
+    steps = np.ceil(timing.duration * rate - 1e-9)
+    duration = float(steps / rate)
+    if max_duration is not None and duration > max_duration + 1e-9:
         raise InvalidInputError(
             f"the motion takes {duration:.3f} s within the limits, longer than max_duration "
             f"{max_duration:g} s"
         )
-    times = np.arange(steps + 1) / rate
+    if steps > _INSTANTS:
+        raise InvalidInputError(
+            f"the motion takes {duration:.3g} s within the limits, more than {_INSTANTS:,} "
+            f"instants at the rate {rate:g}"
+        )
+    times = np.arange(int(steps) + 1) / rate
     rates = replace(timing, duration=duration).rates(times)
     positions, velocities, accelerations, _ = Course(curve, limits).over_time(rates)
     motion = Motion(
-        path, limits, arm, times, positions, velocities, accelerations, float(timing.length)
+        path, limits, arm, times, positions, velocities, accelerations, float(timing.bound)
     )
     if arm is None:
         return motion
-    steps_apart = max(1, int(len(times) / (path.length / _APART)))
-    checked = courses[0].over_time(rates[:, ::steps_apart])[0]
-    if (contact := arm.first_contact(path.scene.obstacles, checked)) is not None:
+    checked = np.linspace(0, 1, int(np.ceil(2 * path.length / _APART)) + 2)
+    contact = arm.first_contact(path.scene.obstacles, courses[0].spline(checked))
+    if contact is not None:
         index, link, thing = contact
+        where = np.round(curve(checked[index]), 3).tolist()
         raise InvalidInputError(
-            f"the arm {arm.name} cannot follow this path: its {link} touches {thing} after "
-            f"{times[index * steps_apart]:.2f} s"
+            f"the arm {arm.name} cannot follow this path: its {link} touches {thing} where its "
+            f"grasp point is at {where} m"
         )
     positions, velocities, accelerations, _ = courses[0].over_time(rates)
     return replace(
@@ -230,9 +245,9 @@ def _reach(curve: BSpline, arm: Arm, place: float, near: Array | None) -> Array:
     target, kinematics = curve(place), arm.kinematics()
     angles, gap = kinematics.reach(target, near)
     if gap > _DEVIATION:
-        waypoint = round(place * 9)
+        waypoint = round(place * (len(curve.c) - 1))
         raise InvalidInputError(
             f"the arm {arm.name} cannot reach {np.round(target, 4).tolist()} m, near waypoint "
-            f"{waypoint} of its path, by {1e3 * gap:.1f} mm"
+            f"{waypoint} of its path, by {1e3 * gap:.3g} mm with its gripper held as it is"
         )
     return angles

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, finite_array
+from ..checks import Array, finite_array, positive
 from ..curves import arc_length, resample
 from ..errors import InvalidInputError, MissingExtraError
 from ..files import at_home, read_document
@@ -31,7 +31,8 @@ NEAR = 0.06
 
 TABLE = Path(__file__).with_name("table.xml")
 
-_TOLERANCE, _STEPS = 1e-7, 50  # [rad]
+_TOLERANCE = 1e-7  # [rad]
+_STEPS = 50
 
 _OBSTACLES = 5
 """The group of the obstacles' geoms."""
@@ -116,17 +117,31 @@ class Arm:
         if not np.linalg.norm(gripper):
             raise InvalidInputError("gripper must be a direction, got a vector without length")
         limits = Limits.named(limits) if isinstance(limits, str) else limits
+        if not isinstance(limits, Limits):
+            raise InvalidInputError(f"limits must be legibility.Limits or a name, got {limits!r}")
+        if not isinstance(model, str | Path):
+            raise InvalidInputError(f"model must be a file or a name, got {model!r}")
         if limits.joints != len(home):
             raise InvalidInputError(
                 f"limits must be of the {len(home)} joints of home, got those of "
                 f"{limits.joints or 'a point'}"
             )
-        if elbow is not None and elbow not in range(len(home)):
+        if elbow is not None and (type(elbow) is not int or elbow not in range(len(home))):
             raise InvalidInputError(f"elbow must be a joint from 0 to {len(home) - 1}, got {elbow}")
+        if lean is not None:
+            try:
+                height, wrist, reach = lean
+            except (TypeError, ValueError) as cause:
+                raise InvalidInputError(f"lean must be of three values, got {lean!r}") from cause
+            away, up = finite_array("lean", wrist, ndim=1, last=2).tolist()
+            lean = Lean(positive("lean", height), (away, up), positive("lean", reach))
+        file = at_home(model)
+        model = file.resolve() if file.is_file() else model
         values = {
             "model": model, "site": site, "home": home, "limits": limits, "base": base,
             "gripper": gripper / np.linalg.norm(gripper), "elbow": elbow, "lean": lean,
-            "roll": float(finite_array("roll", roll, ndim=0)), "name": name or Path(model).stem,
+            "roll": float(finite_array("roll", roll, ndim=0)),
+            "name": str(name or Path(model).stem),
         }  # fmt: skip
         for key, value in values.items():
             object.__setattr__(self, key, value)
@@ -136,7 +151,7 @@ class Arm:
         """Read an arm from YAML or JSON: the arguments by their names.
 
         `model` may be relative to the file; `limits` is a name, or a mapping of `velocity`,
-        `acceleration` and `jerk`.
+        `acceleration` and `jerk`, and of `braking` and `tip`, which is such a mapping of a point.
 
         Raises:
             InvalidInputError: the file cannot be read, or does not describe an arm.
@@ -146,13 +161,16 @@ class Arm:
             raise InvalidInputError(f"{file} must hold a mapping with model, site, home and limits")
         content = dict(content)
         try:
-            if isinstance(content.get("limits"), dict):
-                content["limits"] = Limits(**content["limits"])
+            if isinstance(limits := content.get("limits"), dict):
+                tip = limits.get("tip")
+                if isinstance(tip, dict):
+                    limits = {**limits, "tip": Limits(**tip)}
+                content["limits"] = Limits(**limits)
             beside = at_home(file).parent / str(content.get("model"))
             if beside.is_file():
                 content["model"] = beside
             return cls(**content)
-        except TypeError as cause:
+        except (TypeError, InvalidInputError) as cause:
             raise InvalidInputError(f"{file} does not describe an arm: {cause}") from cause
 
     @classmethod
@@ -208,8 +226,9 @@ class Arm:
 
     @property
     def joint_range(self) -> Array:
-        """Least and greatest angle of each joint, `(2, J)` [rad]."""
-        return self.physics().jnt_range.T.copy()
+        """Least and greatest angle of each joint, `(2, J)` [rad]; infinite where there is none."""
+        model = self.physics()
+        return np.where(model.jnt_limited, model.jnt_range.T, [[-np.inf], [np.inf]])
 
     def specification(self) -> Any:
         """The arm on its table as an `MjSpec`: geoms of group 2 are looks, and touch nothing."""
@@ -380,7 +399,7 @@ class Kinematics:
         )
         # Away from the limits, nearly always, they do not change the minimum.
         step = np.linalg.solve(problem.P, -problem.q)
-        if (problem.G @ step <= problem.h).all():
+        if problem.G is None or (problem.G @ step <= problem.h).all():
             return step
         import qpsolvers
 
@@ -396,7 +415,7 @@ class Kinematics:
             return self._upright
         height, wrist, reach = self._arm.lean
         x, y, z = target - self._arm.base[:3] - [0, 0, height]
-        radius = np.hypot(x, y)
+        radius = max(np.hypot(x, y), 1e-9)
         distance, arm = np.hypot(radius, z), np.hypot(*wrist)
         # |target + wrist, turned by the lean − shoulder| = reach, by the law of cosines.
         cosine = (reach**2 - distance**2 - arm**2) / (2 * distance * arm)
@@ -417,8 +436,11 @@ def _specification(arm: Arm) -> Any:
     for joint in list(robot.joints):
         if joint.name not in names:
             robot.delete(joint)  # of a gripper, which is held still
+    root.name = root.name or "base"
     for link in robot.bodies[1:]:
         link.gravcomp = 1
+    for geom in robot.geoms:
+        geom.group = min(geom.group, _OBSTACLES - 1)
     _add_servos(robot, names)
     turn = np.array([np.cos(arm.base[3] / 2), 0, 0, np.sin(arm.base[3] / 2)])
     root.set_frame(robot.worldbody.add_frame(pos=arm.base[:3], quat=turn))
@@ -463,23 +485,27 @@ def _chain(arm: Arm) -> tuple[Any, list[Any], Any]:
 
 
 def _add_servos(robot: Any, names: list[str]) -> None:
-    """Leave position servos of joints `names` that hardly lag, and put stiffer ones for others."""
-    mujoco, torques, kept = import_mujoco(), {}, set()
+    """Put a position servo at each of joints `names`, in their order, and no other motor.
+
+    The model's own stiffness, damping and torque remain where it has a servo that hardly lags.
+    """
+    mujoco, own = import_mujoco(), {}
     for motor in list(robot.actuators):
         _, stiffness, damping = motor.biasprm[:3]
-        torques[motor.target] = motor.forcerange[1]
-        if motor.target in names and stiffness < 0 and damping / stiffness <= _SLOW:
-            kept.add(motor.target)
-        else:
-            robot.delete(motor)
+        most = float(motor.forcerange[1]) or _TORQUE
+        own[motor.target] = most, _STIFFNESS * most, _STIFFNESS * most * _DAMPING_TIME
+        plain = motor.gear[0] == 1 and motor.dyntype == mujoco.mjtDyn.mjDYN_NONE
+        if plain and stiffness < 0 and damping / stiffness <= _SLOW:
+            own[motor.target] = most, -stiffness, -damping
+        robot.delete(motor)
+    default = _TORQUE, _STIFFNESS * _TORQUE, _STIFFNESS * _TORQUE * _DAMPING_TIME
     for name in names:
-        if name not in kept:
-            most = torques.get(name) or _TORQUE
-            motor = robot.add_actuator(
-                name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT,
-                forcerange=[-most, most],
-            )  # fmt: skip
-            motor.set_to_position(kp=_STIFFNESS * most, kv=_STIFFNESS * most * _DAMPING_TIME)
+        most, stiffness, damping = own.get(name, default)
+        servo = robot.add_actuator(
+            name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            forcerange=[-most, most],
+        )  # fmt: skip
+        servo.set_to_position(kp=stiffness, kv=damping)
 
 
 def _add_table(robot: Any) -> None:
@@ -512,6 +538,12 @@ def _file(model: str | Path) -> Path:
 @functools.lru_cache(maxsize=64)
 def _physics(arm: Arm, obstacles: tuple[Obstacle, ...]) -> Any:
     spec = _specification(arm)
+    whole = compiled(spec, arm.model)
+    for link in spec.bodies[1:]:
+        if not link.explicitinertial:  # the looks that go have the mass
+            body = whole.body(link.id)
+            link.mass, link.ipos, link.iquat = float(body.mass[0]), body.ipos, body.iquat
+            link.inertia, link.explicitinertial = body.inertia, True
     for geom in list(spec.geoms):
         if not geom.contype and not geom.conaffinity:
             spec.delete(geom)
@@ -525,7 +557,20 @@ def _physics(arm: Arm, obstacles: tuple[Obstacle, ...]) -> Any:
             type=form, size=size, pos=pose[:3, 3], quat=quaternion(pose[:3, :3]),
             group=_OBSTACLES, margin=NEAR,
         )  # fmt: skip
-    return spec.compile()
+    return compiled(spec, arm.model)
+
+
+def compiled(spec: Any, model: str | Path) -> Any:
+    """The `MjModel` of a specification.
+
+    Raises:
+        InvalidInputError: MuJoCo refuses the `model` that it was made from.
+    """
+    try:
+        return spec.compile()
+    except ValueError as cause:
+        reason = " ".join(str(cause).split())
+        raise InvalidInputError(f"cannot use the model {model}: {reason}") from cause
 
 
 @functools.lru_cache(maxsize=8)

@@ -42,7 +42,7 @@ def check(file: str | Path) -> None:
         )
     if path.suffix.lower() == ".mcap":
         if os.path.lexists(path):
-            raise OutputError(f"cannot write the bag {file}: it exists")
+            raise OutputError(f"cannot write the bag {file}: it exists already")
         _rosbags()
 
 
@@ -79,7 +79,7 @@ def joint_trajectory(motion: Motion) -> dict[str, Any]:
 
 
 def nav_path(motion: Motion) -> dict[str, Any]:
-    """A `nav_msgs/Path` as plain lists and numbers; the gripper's orientation is that at rest."""
+    """A `nav_msgs/Path` as plain lists and numbers; the gripper's lean is left out."""
     w, x, y, z = _orientation(motion).tolist()
     poses = [
         {
@@ -118,7 +118,6 @@ def _document(motion: Motion) -> dict[str, Any]:
     return {
         "legibility": float(path.legibility),
         "target": path.target,
-        "goal": path.waypoints[-1].tolist(),
         "frame": motion.frame,
         "arm": None if arm is None else arm.name,
         "joint_names": [] if arm is None else arm.joint_names,
@@ -143,7 +142,9 @@ def _table(motion: Motion) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(heads)
-    writer.writerows([f"{value:.9g}" for value in row] for row in np.concatenate(columns, axis=1))
+    writer.writerows(
+        [repr(value) for value in row.tolist()] for row in np.concatenate(columns, axis=1)
+    )
     return text.getvalue()
 
 

@@ -55,8 +55,10 @@ class Limits:
             braking = finite_array("braking", braking)
             if braking.shape != (2, 3, *arrays["velocity"].shape):
                 raise InvalidInputError(f"braking must be (2, 3, J), got shape {braking.shape}")
-        if tip is not None and (not isinstance(tip, Limits) or tip.velocity.ndim):
+        if tip is not None and (not isinstance(tip, Limits) or tip.velocity.ndim or tip.tip):
             raise InvalidInputError(f"tip must be the Limits of a point, got {tip!r}")
+        if not arrays["velocity"].ndim and (tip or braking is not None):
+            raise InvalidInputError("the limits of a point have no tip and no braking")
         object.__setattr__(self, "braking", braking)
         object.__setattr__(self, "tip", tip)
 
@@ -77,13 +79,16 @@ class Limits:
         return len(self.velocity) if self.velocity.ndim else 0
 
     def velocity_at(self, positions: Array) -> Array:
-        """The greatest velocity at joint angles or points `positions (T, J)`, `(T, J)` or `()`."""
+        """The greatest velocity at joint angles `positions (T, J)` [rad], `(T, J)`.
+
+        Where it does not hang on them it is `velocity`, and beyond a joint's end it is below 0.
+        """
         if self.braking is None:
             return self.velocity
         (high, k_up, c_up), (low, k_down, c_down) = self.braking
         up = np.sqrt(np.maximum(k_up * (high - positions), 0)) - c_up
         down = np.sqrt(np.maximum(k_down * (positions - low), 0)) - c_down
-        return np.clip(np.minimum(up, down), 1e-3, self.velocity)
+        return np.minimum(np.minimum(up, down), self.velocity)
 
 
 _PANDA = np.array([15, 7.5, 10, 12.5, 15, 20, 20])
@@ -108,6 +113,7 @@ LIMITS = {
     "moveit-panda": Limits([2.175] * 4 + [2.61] * 3, _PANDA / 4, [300.0] * 7),
     "point": Limits(0.5, 2.0, 20.0),
 }  # fmt: skip
-"""Those of Franka's Panda and of its successor, as its control interface enforces them
-(frankarobotics.github.io/docs), those that MoveIt's configuration of the Panda has, a fourth of the
-accelerations, and those of a point that moves calmly beside people."""
+"""Limits by name. `panda` and `fr3` are what Franka's control interface enforces on the Panda and
+on the Franka Research 3 (frankarobotics.github.io/docs). `moveit-panda` has the accelerations of
+MoveIt's configuration of the Panda, a quarter of Franka's, and a cautious jerk. `point` is a point
+that moves calmly beside people."""
