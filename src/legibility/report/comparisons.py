@@ -131,7 +131,9 @@ def single_scene_section(document: dict[str, Any]) -> list[Part]:
         f"{result['env']}, ℓ = 1; success is that of the worse target, and L_d and L_p are of all "
         "motions, also of those that do not arrive. Brackets hold the ratio to the best of the "
         "demonstrated paths in that metric. The modulator's own row is refined with ready-made "
-        "curves, as a user gets it; its network alone knows the demonstrations and no more. The "
+        "curves, as a user gets it; its network alone knows the demonstrations and no more. L_d "
+        "grows with the distance from the other goal, L_p falls where the target is clear: the "
+        "best in one is not the best in the other, so Legibility Diffuser has a row for either. The "
         "tests speak of robots and draws, not of other trainings.",
         table,
         f"Settings are chosen for either target on {config['tuning_rollouts']} other robots: the "
