@@ -133,8 +133,8 @@ def single_scene_section(document: dict[str, Any]) -> list[Part]:
         "demonstrated paths in that metric. The modulator's own row is refined with ready-made "
         "curves, as a user gets it; its network alone knows the demonstrations and no more. L_d "
         "grows with the distance from the other goal, L_p falls where the target is clear: the "
-        "best in one is not the best in the other, so Legibility Diffuser has a row for either. The "
-        "tests speak of robots and draws, not of other trainings.",
+        "best in one is not the best in the other, so Legibility Diffuser has a row for either. "
+        "The tests speak of robots and draws, not of other trainings.",
         table,
         f"Settings are chosen for either target on {config['tuning_rollouts']} other robots: the "
         "modulator's, on its network's own paths, by the highest mean L_d, Legibility Diffuser's "
