@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,10 @@ from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .motion.path import Path, straight_waypoints
 from .motion.tracking import PathTracker
 from .scene import MIN_SEPARATION
+
+if TYPE_CHECKING:
+    from .motion.timed import Motion
+    from .robots.arm import Arm
 
 Replan = Callable[[list[int], Array], list[Path]]
 """New paths for some robots, given their indices and positions `(N, D)` [m]."""
@@ -73,6 +77,12 @@ class Rollout:
         """Root mean square of the third derivative of the position [m/s³], 0 of fewer than 4."""
         third = np.diff(self.states, n=3, axis=0) / self.step_seconds**3
         return float(np.sqrt((third**2).sum(-1).mean())) if len(third) else 0.0
+
+    def motion(self, arm: "Arm | None" = None) -> "Motion":
+        """The executed motion at the control steps; with the `arm` that moved, also its joints."""
+        from .motion.timed import Motion
+
+        return Motion.recorded(self.path, self.states, self.step_seconds, self.joint_angles, arm)
 
     def trajectory(self, num_points: int = SCORE_POINTS) -> Array:
         """The motion at equal arc length, `(num_points, D)` [m]."""

@@ -41,7 +41,7 @@ def test_plan_past_an_obstacle(cli, tmp_path):
 @pytest.fixture
 def sketched(monkeypatch):
     """Pictures are as without OpenGL, which takes half a second for one without a graphics card."""
-    monkeypatch.setattr("legibility.envs.panda_render._renderer", lambda: None)
+    monkeypatch.setattr("legibility.envs.panda_render._renderer", lambda arm: None)
 
 
 @pytest.mark.parametrize(("env", "module"), [("panda", "mujoco"), ("pandagym", "pybullet")])

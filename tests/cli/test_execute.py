@@ -27,7 +27,7 @@ def folder(tmp_path_factory, one_thread):
     """Where `LINE` has written all that it can."""
     folder = tmp_path_factory.mktemp("execute")
     (folder / "scene.yaml").write_text("start: [0.0, 0.5]\ngoals: [[0.8, 0.6], [1.0, 0.3]]\n")
-    outputs = "--json o/e.json --csv o/e.csv --figure o/e.png --video o/e.gif"
+    outputs = "--json o/e.json --csv o/e.csv --figure o/e.png --video o/e.gif --out o/m.csv"
     printed = io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
         assert main([*LINE.split(), *outputs.split()]) == 0
@@ -39,6 +39,18 @@ def folder(tmp_path_factory, one_thread):
 def executed(folder, monkeypatch):
     monkeypatch.chdir(folder)
     return json.loads(Path("o/e.json").read_text()), Path("printed").read_text()
+
+
+def test_motions_at_control_steps(executed):
+    content, _ = executed
+    for level, rollout in zip(("-1", "0", "1"), content["result"]["rollouts"], strict=True):
+        rows = list(csv.DictReader(Path(f"o/m_{level}.csv").read_text().splitlines()))
+        places = np.array([[float(row[x]) for x in "xy"] for row in rows])
+        assert places == pytest.approx(np.array(rollout["states"]))
+        times = [float(row["time"]) for row in rows]
+        assert np.diff(times) == pytest.approx(0.05)
+        velocities = np.array([[float(row[f"v{x}"]) for x in "xy"] for row in rows])
+        assert velocities[1:-1] == pytest.approx((places[2:] - places[:-2]) / 0.1)
 
 
 def test_report(executed):
@@ -97,7 +109,8 @@ def test_csv_is_what_score_reads(executed, cli, tmp_path):
 
 def test_files_are_whole(executed):
     content, _ = executed
-    assert sorted(os.listdir("o")) == ["e.csv", "e.gif", "e.json", "e.png"]
+    names = ["e.csv", "e.gif", "e.json", "e.png", "m_-1.csv", "m_0.csv", "m_1.csv"]
+    assert sorted(os.listdir("o")) == names
     with Image.open("o/e.gif") as film:
         longest = max(len(row["actions"]) for row in content["result"]["rollouts"])
         assert film.n_frames <= longest + 1  # equal frames become one

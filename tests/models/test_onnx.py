@@ -94,13 +94,12 @@ def test_actions_are_the_same(pair, size):
         pair[1]._policy.act(observation, policy.config.sampling_steps + 1)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_a_path_diffuser_of_other_settings_is_exported(dim, tmp_path):
+def test_a_path_diffuser_of_other_settings_is_exported(tmp_path):
     """And takes any number of distractors, obstacles and polygons, also none, and any observer."""
     runtime("onnxruntime", "onnxscript")
     torch.manual_seed(0)
-    steps, guidance = (1, 0.7) if dim == 2 else (2, 0.0)
-    changes = {"dim": dim, "channels": (8,), "sampling_steps": steps, "guidance": guidance}
+    dim = 2
+    changes = {"dim": dim, "channels": (8,), "sampling_steps": 2, "guidance": 0.7}
     model = PathDiffuser(PathDiffuserConfig(**{**TINY, **changes})).eval()
     for parameter in model.parameters():
         torch.nn.init.normal_(parameter, std=0.2)

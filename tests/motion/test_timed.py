@@ -119,6 +119,22 @@ def test_another_arm():
     assert shares(motion.positions, 500, calm.tip).max() <= 1
 
 
+def test_a_record_of_an_executed_motion():
+    path = solid_path()
+    motion = path.timed("panda", rate=1000)
+    every = slice(0, None, 10)
+    record = lg.Motion.recorded(
+        path, motion.positions[every], 0.01, motion.joint_positions[every], PANDA
+    )
+    assert record.limits is None
+    assert record.times == pytest.approx(motion.times[every])
+    for name in ("velocities", "joint_velocities"):
+        off = np.abs(getattr(record, name)[1:-1] - getattr(motion, name)[every][1:-1]).max()
+        assert off < 0.1 * np.abs(getattr(motion, name)).max()
+    assert record.score == pytest.approx(motion.score, abs=0.02)
+    assert record.joint_accelerations.shape == record.joint_positions.shape
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.7])
 def test_frames(turn):
     arm = ur5e(base=[-0.7, 0.05, 0.01, turn])

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InvalidInputError
 from . import output
-from .options import Motions, OptionalText, OutputFile
+from .options import Motions, OptionalText, OutputFile, motion_files
 from .trajectories import write_trajectories
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def execute(
     video: OutputFile = None,
     json: OutputFile = None,
     csv: OutputFile = None,
+    out: OutputFile = None,
 ) -> None:
     """Plan motions and execute them, closed loop, in an environment.
 
@@ -45,6 +46,8 @@ def execute(
         video: the motions side by side as a film, .gif or, with ffmpeg, .mp4.
         json: everything as JSON.
         csv: the executed trajectories, at equal arc length, as CSV that `legibility score` reads.
+        out: the executed motion at its control steps: .csv, .json or .mcap, a bag of ROS 2 (extra
+            ros). Of several levels there is a file each, with the level in its name.
     """
     from ..envs import vector_type
 
@@ -56,6 +59,9 @@ def execute(
     output.check_figure(spectrum)
     for file, name in ((json, "JSON file"), (csv, "CSV file"), (video, "film")):
         output.check_file(file, name)
+    files = []
+    if out is not None:
+        files = motion_files(out, asked, (figure, spectrum, video, json, csv))
     if figure is not None or video is not None:
         from ..figures.film import check_film, check_number
 
@@ -103,6 +109,9 @@ def execute(
     if csv is not None:
         names = [f"{level:g}" for level in asked]
         write_trajectories(csv, names, np.stack([r.trajectory() for r in rollouts]))
+    arm = getattr(robots, "arm", None)
+    for rollout, file in zip(rollouts, files, strict=False):
+        rollout.motion(arm).save(file)
     _draw(rollouts, figure, spectrum, video)
     _print(f"{motions.scene}, goal {target}, {model}", rollouts)
 

@@ -163,7 +163,6 @@ class Timed:
         `others` are the files that hold something else.
         """
         from ..motion.timed import FRAMES, mover
-        from ..robots import formats
 
         if self.out is None:
             for field in dataclasses.fields(self):
@@ -180,16 +179,7 @@ class Timed:
         if self.frame not in FRAMES or (self.frame == "base" and arm is None):
             allowed = ", ".join(FRAMES) if arm is not None else "world without an arm"
             raise InvalidInputError(f"frame must be one of {allowed}, got {self.frame!r}")
-        files = [self.out]
-        if len(asked) > 1:
-            name = self.out.with_suffix("").name
-            files = [self.out.with_name(f"{name}_{x:g}{self.out.suffix}") for x in asked]
-        for number, file in enumerate(files):
-            if file in [*files[:number], *others]:
-                raise InvalidInputError(f"two outputs have the file {file}")
-            output.check_file(file, "motion")
-            formats.check(file)
-        return files
+        return motion_files(self.out, asked, others)
 
     def motions(self, path: "Path_") -> "list[Motion]":
         """The timed motion of each level of a path."""
@@ -201,6 +191,24 @@ class Timed:
             for i in range(len(path))
         ]
         return [motion.in_frame(self.frame) for motion in timed]
+
+
+def motion_files(out: Path, asked: Array, others: Sequence[Path | None]) -> list[Path]:
+    """The file of the motion of each level, once it is checked that all can be written.
+
+    `others` are the files that hold something else.
+    """
+    from ..robots import formats
+
+    files = [out]
+    if len(asked) > 1:
+        files = [out.with_name(f"{out.with_suffix('').name}_{x:g}{out.suffix}") for x in asked]
+    for number, file in enumerate(files):
+        if file in [*files[:number], *others]:
+            raise InvalidInputError(f"two outputs have the file {file}")
+        output.check_file(file, "motion")
+        formats.check(file)
+    return files
 
 
 def read_scene(file: Path, observer: str | None = None) -> tuple[Scene, Observer]:

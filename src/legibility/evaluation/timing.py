@@ -125,6 +125,7 @@ def _measure(modulator: Modulator, config: TimingConfig, index: int) -> dict[str
 def _shares(motion: Motion) -> dict[str, float]:
     """By finite differences, with rest before and after, over the limits."""
     limits = motion.limits
+    assert limits is not None
     positions = motion.joint_positions if limits.joints else motion.positions
     rest = np.repeat(positions[[0, -1]], 4, axis=0)
     whole = np.concatenate([rest[:4], positions, rest[4:]])

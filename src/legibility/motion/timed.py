@@ -38,11 +38,11 @@ FRAMES = ("world", "base")
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A path over time, from rest to rest.
+    """A path over time, from rest to rest, or the record of an executed motion.
 
     Attributes:
-        path: the path; its curve is unchanged.
-        limits: that the motion keeps.
+        path: the path; its curve is unchanged. Of a record, the path as first planned.
+        limits: that the motion keeps; none of a record.
         arm: that moves, if any.
         times: `(T,)` [s], at equal steps from 0.
         positions: `(T, D)` [m], of the point or the arm's grasp point.
@@ -51,12 +51,12 @@ class Motion:
         joint_positions: `(T, J)` [rad]; `(0, 0)` without an arm.
         joint_velocities: `(T, J)` [rad/s].
         joint_accelerations: `(T, J)` [rad/s²].
-        bound: duration [s] that velocities and accelerations alone would allow.
+        bound: duration [s] that velocities and accelerations alone would allow; that of a record.
         frame: of positions, velocities and accelerations, one of `FRAMES`.
     """
 
     path: Path
-    limits: Limits
+    limits: Limits | None
     arm: Arm | None
     times: Array
     positions: Array
@@ -67,6 +67,35 @@ class Motion:
     joint_velocities: Array = field(default_factory=lambda: np.empty((0, 0)))
     joint_accelerations: Array = field(default_factory=lambda: np.empty((0, 0)))
     frame: str = "world"
+
+    @classmethod
+    def recorded(
+        cls, path: Path, positions: Array, step_seconds: float, angles: Array, arm: Arm | None
+    ) -> Motion:
+        """The record of a motion: velocities and accelerations are central differences.
+
+        Args:
+            path: that was followed.
+            positions: `(T, D)` [m], one each step.
+            step_seconds: duration of a step [s].
+            angles: `(T, J)` [rad], of an arm.
+            arm: that moved, if any.
+        """
+        times = np.arange(len(positions), dtype=np.float64) * step_seconds
+
+        def over_time(values: Array) -> tuple[Array, Array, Array]:
+            velocities = np.gradient(values, step_seconds, axis=0)
+            return values, velocities, np.gradient(velocities, step_seconds, axis=0)
+
+        place, velocity, acceleration = over_time(positions)
+        record = cls(path, None, arm, times, place, velocity, acceleration, float(times[-1]))
+        if arm is None:
+            return record
+        place, velocity, acceleration = over_time(angles)
+        return replace(
+            record, joint_positions=place, joint_velocities=velocity,
+            joint_accelerations=acceleration,
+        )  # fmt: skip
 
     @property
     def duration(self) -> float:
