@@ -255,16 +255,12 @@ class Arm:
 
         All links that move count, with the shapes that collide in the simulation.
         """
-        mujoco, model = import_mujoco(), self.physics(obstacles)
-        data, solid = mujoco.MjData(model), model.geom_group == _OBSTACLES
+        model = self.physics(obstacles)
+        solid = model.geom_group == _OBSTACLES
         first = int(np.argmax(solid))
-        for pose in angles:
-            data.qpos = pose
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_collision(model, data)
-            contact, number = data.contact, data.ncon
-            pairs = contact.geom[:number]
+        for data in _posed(model, angles):
+            contact = data.contact
+            pairs = contact.geom[: data.ncon]
             (rows,) = np.nonzero(solid[pairs].any(-1))
             pairs, from_obstacle = pairs[rows], solid[pairs[rows, 0]]
             links = model.geom_bodyid[np.where(from_obstacle, pairs[:, 1], pairs[:, 0])]
@@ -282,8 +278,8 @@ class Arm:
 
         Its index, the link, and what it touches: an obstacle, the table, or another link.
         """
-        mujoco, model = import_mujoco(), self.physics(obstacles)
-        data, solid = mujoco.MjData(model), model.geom_group == _OBSTACLES
+        model = self.physics(obstacles)
+        solid = model.geom_group == _OBSTACLES
         first = int(np.argmax(solid))
 
         def name(geom: int) -> str:
@@ -292,11 +288,7 @@ class Arm:
             body = int(model.geom_bodyid[geom])
             return model.body(body).name if body else "table"
 
-        for index, pose in enumerate(angles):
-            data.qpos = pose
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_collision(model, data)
+        for index, data in enumerate(_posed(model, angles)):
             for row in np.flatnonzero(data.contact.dist[: data.ncon] < 0):
                 things = sorted(data.contact.geom[row], key=lambda g: model.geom_bodyid[g] == 0)
                 return index, name(things[0]), name(things[1])
@@ -308,6 +300,18 @@ class Arm:
         It is below 0 in contact, and `NEAR` at most.
         """
         return np.array([near.gaps.min(initial=NEAR) for near in self.nearby(obstacles, angles)])
+
+
+def _posed(model: Any, angles: Array) -> Iterator[Any]:
+    """An `MjData` with the contacts of each pose at `angles (T, J)` [rad]."""
+    mujoco = import_mujoco()
+    data = mujoco.MjData(model)
+    for pose in angles:
+        data.qpos = pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        yield data
 
 
 class Nearby(NamedTuple):
