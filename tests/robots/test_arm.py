@@ -19,7 +19,8 @@ from legibility.envs.panda import Simulation
 from legibility.envs.pandagym import JOINT_LIMITS
 from legibility.errors import InvalidInputError, MissingExtraError
 from legibility.obstacles import Ball, Box
-from legibility.robots.arm import JOINT_MARGIN, PANDA, Arm, Kinematics, checked_points
+from legibility.robots.arm import PANDA, Arm, checked_points
+from legibility.robots.kinematics import JOINT_MARGIN, Kinematics
 from legibility.robots.limits import Limits
 from legibility.scene import DEFAULT_WORKSPACE, Scene
 

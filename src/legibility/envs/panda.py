@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array
-from ..robots.arm import JOINT_MARGIN, PANDA, Arm, Kinematics
+from ..robots.arm import PANDA, Arm
+from ..robots.kinematics import JOINT_MARGIN, Kinematics
 from ..robots.simulator import import_mujoco
 from .arm import ArmVector
 from .single import BlockReach

@@ -20,7 +20,8 @@ from PIL import Image, ImageColor, ImageDraw
 from ..checks import Array, count
 from ..errors import InvalidInputError
 from ..obstacles import Box
-from ..robots.arm import PANDA, Arm, compiled
+from ..robots.arm import PANDA, Arm
+from ..robots.model import compiled
 from ..robots.simulator import import_mujoco, solid_geom
 from ..scene import Scene
 from .arm import BLOCK

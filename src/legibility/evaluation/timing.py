@@ -15,6 +15,8 @@ from ..modulator import Modulator
 from ..motion.path import Path
 from ..motion.timed import Motion, mover
 from ..parallel import threads
+from ..robots.arm import Arm
+from ..robots.limits import Limits
 from ..seeds import plan_seeds
 from .common import Progress, each_of, level_steps, rounded, silent
 from .configuration import TimingConfig
@@ -55,8 +57,8 @@ def evaluate_timing(
         because the arm cannot reach a point or touches something, and `why`, one message of each
         kind; `moves`: a name of what moves.
     """
-    _, arm = mover(config.limits, config.arm)
-    measure = partial(_measure, modulator, config)
+    limits, arm = mover(config.limits, config.arm)
+    measure = partial(_measure, modulator, config, limits, arm)
     found = each_of(list(range(config.scenes)), measure, workers, cluster, progress)
     rows = [row for scene in found for row in scene["rows"]]
     messages = [message for scene in found for message in scene["refused"]]
@@ -91,13 +93,14 @@ def _kind(message: str) -> str:
 
 
 @threads(1)
-def _measure(modulator: Modulator, config: TimingConfig, index: int) -> dict[str, list[Any]]:
+def _measure(
+    modulator: Modulator, config: TimingConfig, limits: Limits, arm: Arm | None, index: int
+) -> dict[str, list[Any]]:
     """The metrics of each motion that is timed in a scene, and why others are not."""
     judge = config.stream(modulator.config.dim).archive(index, modulator.config.observer)
     (seed,) = plan_seeds(config.seed, index, 1)
     levels = level_steps(config.levels)
     paths = modulator.plan(judge.scene, 0, levels, seed=seed, observer=judge.observer)
-    limits, arm = mover(config.limits, config.arm)
     paths[0].timed("point")  # loads what it needs
     rows, refused = [], []
     for number, asked in enumerate(levels):

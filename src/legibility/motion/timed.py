@@ -15,7 +15,7 @@ from ..errors import InvalidInputError
 from ..intent.metrics import posterior_legibility, score_weights, time_to_confidence
 from ..robots.arm import PANDA, Arm
 from ..robots.limits import Limits
-from .timing import Course, fastest_timing
+from .timing import Course, fastest_timing, over_time
 
 if TYPE_CHECKING:
     from .path import Path
@@ -223,7 +223,7 @@ def timed(
         )
     times = np.arange(int(steps) + 1) / rate
     rates = replace(timing, duration=duration).rates(times)
-    positions, velocities, accelerations, _ = Course(curve, limits).over_time(rates)
+    positions, velocities, accelerations, _ = over_time(curve, rates)
     motion = Motion(
         path, limits, arm, times, positions, velocities, accelerations, float(timing.bound)
     )

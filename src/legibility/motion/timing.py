@@ -46,6 +46,23 @@ _WINDOWS, _SHORTEST, _LONGEST = 16, 0.004, 0.6
 over the time of the motion."""
 
 
+def over_time(spline: BSpline, rates: Array) -> Array:
+    """Position, velocity, acceleration and jerk along a spline, `(4, T, C)`.
+
+    Args:
+        spline: positions `(T, C)` at s `(T,)`.
+        rates: s and its first three derivatives in time, `(4, T)`.
+    """
+    speed, change, jerk = rates[1:, :, None]
+    place, slope, bend, twist = (spline(rates[0], nu) for nu in range(4))
+    return np.stack([
+        place,
+        slope * speed,
+        bend * speed**2 + slope * change,
+        twist * speed**3 + 3 * bend * speed * change + slope * jerk,
+    ])  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Course:
     """What keeps limits along a curve: the joints of an arm, or a point.
@@ -64,19 +81,8 @@ class Course:
         return cls(make_interp_spline(places, positions, k=5), limits)
 
     def over_time(self, rates: Array) -> Array:
-        """Position, velocity, acceleration and jerk, `(4, T, C)`.
-
-        Args:
-            rates: s and its first three derivatives in time, `(4, T)`.
-        """
-        speed, change, jerk = rates[1:, :, None]
-        place, slope, bend, twist = (self.spline(rates[0], nu) for nu in range(4))
-        return np.stack([
-            place,
-            slope * speed,
-            bend * speed**2 + slope * change,
-            twist * speed**3 + 3 * bend * speed * change + slope * jerk,
-        ])  # fmt: skip
+        """See `over_time`."""
+        return over_time(self.spline, rates)
 
     def shares(self, rates: Array) -> Array:
         """The greatest velocity, acceleration and jerk over their limits, `(3,)`."""

@@ -17,35 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, finite_array, positive
 from ..curves import arc_length, resample
-from ..errors import InvalidInputError, MissingExtraError
+from ..errors import InvalidInputError
 from ..files import at_home, read_document
 from ..obstacles import Obstacle
+from . import model as models
+from .kinematics import Kinematics
 from .limits import Limits
-from .simulator import import_mujoco, quaternion, solid_geom
-
-JOINT_MARGIN = 0.02
-"""Distance of the joints from their limits [rad]."""
-
-NEAR = 0.06
-"""Gap between a link and an obstacle up to which it is measured [m]: more than a step's reach."""
-
-TABLE = Path(__file__).with_name("table.xml")
-
-_TOLERANCE = 1e-7  # [rad]
-_STEPS = 50
-
-_OBSTACLES = 5
-"""The group of the obstacles' geoms."""
+from .model import NEAR
+from .simulator import import_mujoco
 
 _STEP = 0.01
 """Distance between the points at which a trajectory is checked for contacts [m]."""
-
-_SLOW = 0.02
-"""Lag [s] of a model's servos above which stiffer ones take their place."""
-
-_STIFFNESS, _DAMPING_TIME, _TORQUE = 400.0, 1 / 75, 100.0
-"""Of the stiffer servos: stiffness over the greatest torque [1/rad], damping over stiffness [s],
-and the torque where the model has none [N m]."""
 
 
 class Lean(NamedTuple):
@@ -232,11 +214,11 @@ class Arm:
 
     def specification(self) -> Any:
         """The arm on its table as an `MjSpec`: geoms of group 2 are looks, and touch nothing."""
-        return _specification(self)
+        return models.specification(self)
 
     def physics(self, obstacles: tuple[Obstacle, ...] = ()) -> Any:
         """The arm on its table as an `MjModel` of what collides, shared and never changed."""
-        return _physics(self, obstacles)
+        return models.physics(self, obstacles)
 
     def kinematics(self) -> Kinematics:
         """Forward and inverse kinematics, shared in this process."""
@@ -256,7 +238,7 @@ class Arm:
         All links that move count, with the shapes that collide in the simulation.
         """
         model = self.physics(obstacles)
-        solid = model.geom_group == _OBSTACLES
+        solid = model.geom_group == models.OBSTACLES
         first = int(np.argmax(solid))
         for data in _posed(model, angles):
             contact = data.contact
@@ -279,7 +261,7 @@ class Arm:
         Its index, the link, and what it touches: an obstacle, the table, or another link.
         """
         model = self.physics(obstacles)
-        solid = model.geom_group == _OBSTACLES
+        solid = model.geom_group == models.OBSTACLES
         first = int(np.argmax(solid))
 
         def name(geom: int) -> str:
@@ -328,253 +310,6 @@ class Nearby(NamedTuple):
     obstacles: NDArray[np.intp]
     gaps: Array
     normals: Array
-
-
-class Kinematics:
-    """Forward and inverse kinematics of the grasp point.
-
-    A quadratic programme of mink: the grasp point goes to a target, the gripper keeps its direction
-    and does not turn, the elbow stays at home, all joints stay within their limits. So a position
-    has one posture, whichever way the arm came.
-    """
-
-    def __init__(self, arm: Arm) -> None:
-        mink, model = import_mujoco("mink"), arm.physics()
-        self._arm, self._mujoco, self._build = arm, import_mujoco(), mink.build_ik
-        self._configuration = mink.Configuration(model)
-        self._site = model.site(arm.site).id
-        self._frame = mink.FrameTask(arm.site, "site", position_cost=1.0, orientation_cost=0.2)
-        cost = np.where(np.arange(arm.joints) == arm.elbow, 1e-2, 1e-5)
-        self._elbow, self._rest = (mink.PostureTask(model, cost, gain=g) for g in (0.3, 1.0))
-        for task in (self._elbow, self._rest):
-            task.set_target(arm.home)
-        self._limits = [mink.ConfigurationLimit(model, 1.0, min_distance_from_limits=JOINT_MARGIN)]
-        self._pose = mink.SE3(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-        self._upright = quaternion(arm.gripper_to_world)
-
-    def __reduce__(self) -> tuple[type[Kinematics], tuple[Arm]]:
-        return Kinematics, (self._arm,)
-
-    def grasp_point(self, angles: Array) -> Array:
-        """The grasp point `(3,)` [m] at `angles (J,)` [rad]."""
-        data = self._configuration.data
-        data.qpos = angles
-        self._mujoco.mj_kinematics(self._configuration.model, data)
-        return data.site_xpos[self._site].copy()
-
-    def step(self, angles: Array, target: Array) -> Array:
-        """Change of the joints from `angles` toward the grasp point `target`, `(J,)` [rad]."""
-        self._aim(target)
-        return self._solve(angles, self._elbow)
-
-    def solve(self, target: Array) -> Array:
-        """Angles `(J,)` [rad] that put the grasp point at `target`, searched from home."""
-        self._aim(target)
-        angles = self._arm.home.copy()
-        for _ in range(100):
-            step = self._solve(angles, self._rest)
-            angles += step * min(1.0, 0.3 / max(np.abs(step).max(), 1e-12))
-            if np.abs(step).max() < _TOLERANCE:
-                break
-        return angles
-
-    def reach(self, target: Array, near: Array | None = None) -> tuple[Array, float]:
-        """Angles `(J,)` [rad] nearest to `target` that follow from those `near`, or from home.
-
-        The second value is the distance that is left [m].
-        """
-        angles = self.solve(target) if near is None else near.copy()
-        for _ in range(_STEPS):
-            step = self.step(angles, target)
-            angles = angles + step
-            if np.abs(step).max() < _TOLERANCE:
-                break
-        return angles, float(np.linalg.norm(self.grasp_point(angles) - target))
-
-    def _aim(self, target: Array) -> None:
-        self._pose.wxyz_xyz[:4] = self._orientation(target)
-        self._pose.wxyz_xyz[4:] = target
-        self._frame.set_target(self._pose)
-
-    def _solve(self, angles: Array, posture: Any) -> Array:
-        self._configuration.update(angles)
-        problem = self._build(
-            self._configuration, [self._frame, posture], dt=1.0, limits=self._limits
-        )
-        # Away from the limits, nearly always, they do not change the minimum.
-        step = np.linalg.solve(problem.P, -problem.q)
-        if problem.G is None or (problem.G @ step <= problem.h).all():
-            return step
-        import qpsolvers
-
-        solution = qpsolvers.solve_problem(problem, solver="daqp").x
-        return np.zeros_like(angles) if solution is None else solution
-
-    def _orientation(self, target: Array) -> Array:
-        """The gripper's orientation in the world at `target`, a quaternion `(4,)` (w, x, y, z).
-
-        Beyond the arm's reach it leans back toward the base, by the least angle that suffices.
-        """
-        if self._arm.lean is None:
-            return self._upright
-        height, wrist, reach = self._arm.lean
-        x, y, z = target - self._arm.base[:3] - [0, 0, height]
-        radius = max(np.hypot(x, y), 1e-9)
-        distance, arm = np.hypot(radius, z), np.hypot(*wrist)
-        # |target + wrist, turned by the lean − shoulder| = reach, by the law of cosines.
-        cosine = (reach**2 - distance**2 - arm**2) / (2 * distance * arm)
-        lean = np.arccos(np.clip(cosine, -1, 1)) - np.arctan2(wrist[1], wrist[0])
-        lean = max(0.0, lean + np.arctan2(z, radius)) / 2
-        back = [np.cos(lean), np.sin(lean) * y / radius, -np.sin(lean) * x / radius, 0.0]
-        turned = np.zeros(4)
-        self._mujoco.mju_mulQuat(turned, back, self._upright)
-        return turned
-
-
-def _specification(arm: Arm) -> Any:
-    mujoco = import_mujoco()
-    robot, chain, root = _chain(arm)
-    names = [joint.name for joint in chain]
-    for part in (*robot.equalities, *robot.tendons, *robot.keys, *robot.sensors, *robot.lights):
-        robot.delete(part)
-    for joint in list(robot.joints):
-        if joint.name not in names:
-            robot.delete(joint)  # of a gripper, which is held still
-    root.name = root.name or "base"
-    for link in robot.bodies[1:]:
-        link.gravcomp = 1
-    for geom in robot.geoms:
-        geom.group = min(geom.group, _OBSTACLES - 1)
-    _add_servos(robot, names)
-    turn = np.array([np.cos(arm.base[3] / 2), 0, 0, np.sin(arm.base[3] / 2)])
-    root.set_frame(robot.worldbody.add_frame(pos=arm.base[:3], quat=turn))
-    _add_table(robot)
-    forms = mujoco.mjtObj
-    touch = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "reftype": forms.mjOBJ_XBODY,
-             "refname": root.name, "intprm": [1, 0, 1]}  # fmt: skip
-    robot.add_sensor(name="table", objtype=forms.mjOBJ_GEOM, objname="room/table", **touch)
-    robot.add_sensor(name="self", objtype=forms.mjOBJ_XBODY, objname=root.name, **touch)
-    return robot
-
-
-def _chain(arm: Arm) -> tuple[Any, list[Any], Any]:
-    """The model as an `MjSpec`, its joints from the base to the site, and its first body."""
-    mujoco = import_mujoco()
-    try:
-        robot = mujoco.MjSpec.from_file(str(_file(arm.model)))
-    except (ValueError, OSError) as cause:
-        reason = " ".join(str(cause).split())
-        raise InvalidInputError(f"cannot read the model {arm.model}: {reason}") from cause
-    sites = {site.name: site for site in robot.sites}
-    if arm.site not in sites:
-        known = ", ".join(sorted(name for name in sites if name)) or "none"
-        raise InvalidInputError(f"{arm.model} has no site {arm.site!r}; its sites are {known}")
-    chain, root = [], sites[arm.site].parent
-    while True:
-        chain = [*root.joints, *chain]
-        if root.parent is None or root.parent.name == "world":
-            break
-        root = root.parent
-    names = [joint.name for joint in chain]
-    if (
-        len(chain) != len(arm.home)
-        or not all(names)
-        or any(joint.type != mujoco.mjtJoint.mjJNT_HINGE for joint in chain)
-    ):
-        raise InvalidInputError(
-            f"home must have an angle of each joint, a hinge with a name, from the base to the "
-            f"site {arm.site}: {', '.join(names) or 'there is none'}; got {len(arm.home)}"
-        )
-    return robot, chain, root
-
-
-def _add_servos(robot: Any, names: list[str]) -> None:
-    """Put a position servo at each of joints `names`, in their order, and no other motor.
-
-    The model's own stiffness, damping and torque remain where it has a servo that hardly lags.
-    """
-    mujoco, own = import_mujoco(), {}
-    for motor in list(robot.actuators):
-        _, stiffness, damping = motor.biasprm[:3]
-        most = float(motor.forcerange[1]) or _TORQUE
-        own[motor.target] = most, _STIFFNESS * most, _STIFFNESS * most * _DAMPING_TIME
-        plain = motor.gear[0] == 1 and motor.dyntype == mujoco.mjtDyn.mjDYN_NONE
-        if plain and stiffness < 0 and damping / stiffness <= _SLOW:
-            own[motor.target] = most, -stiffness, -damping
-        robot.delete(motor)
-    default = _TORQUE, _STIFFNESS * _TORQUE, _STIFFNESS * _TORQUE * _DAMPING_TIME
-    for name in names:
-        most, stiffness, damping = own.get(name, default)
-        servo = robot.add_actuator(
-            name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            forcerange=[-most, most],
-        )  # fmt: skip
-        servo.set_to_position(kp=stiffness, kv=damping)
-
-
-def _add_table(robot: Any) -> None:
-    """Put a table, lights and the physics of all that is simulated into a model."""
-    table = import_mujoco().MjSpec.from_file(str(TABLE))
-    for part in ("option", "stat", "visual"):
-        setattr(robot, part, getattr(table, part))
-    robot.attach(table, frame=robot.worldbody.add_frame(), prefix="room/")
-
-
-def _file(model: str | Path) -> Path:
-    """The MJCF file of a model."""
-    path = at_home(model)
-    if path.suffix == ".xml" or path.is_file():
-        return path
-    try:
-        import mujoco_menagerie
-    except ModuleNotFoundError as cause:
-        raise MissingExtraError(
-            f"{model} is no file, and mujoco-menagerie, which knows models by name, is not "
-            "installed: pip install 'legibility[arms]'"
-        ) from cause
-    try:
-        robot = mujoco_menagerie.get(str(model))
-        return robot.xml(robot.default_model)
-    except mujoco_menagerie.MenagerieError as cause:
-        raise InvalidInputError(f"cannot get the model {model}: {cause}") from cause
-
-
-@functools.lru_cache(maxsize=64)
-def _physics(arm: Arm, obstacles: tuple[Obstacle, ...]) -> Any:
-    spec = _specification(arm)
-    whole = compiled(spec, arm.model)
-    for link in spec.bodies[1:]:
-        if not link.explicitinertial:  # the looks that go have the mass
-            body = whole.body(link.id)
-            link.mass, link.ipos, link.iquat = float(body.mass[0]), body.ipos, body.iquat
-            link.inertia, link.explicitinertial = body.inertia, True
-    for geom in list(spec.geoms):
-        if not geom.contype and not geom.conaffinity:
-            spec.delete(geom)
-    meshes = {geom.meshname for geom in spec.geoms}
-    for mesh in list(spec.meshes):
-        if mesh.name not in meshes:
-            spec.delete(mesh)
-    for obstacle in obstacles:
-        form, size, pose = solid_geom(obstacle)
-        spec.worldbody.add_geom(
-            type=form, size=size, pos=pose[:3, 3], quat=quaternion(pose[:3, :3]),
-            group=_OBSTACLES, margin=NEAR,
-        )  # fmt: skip
-    return compiled(spec, arm.model)
-
-
-def compiled(spec: Any, model: str | Path) -> Any:
-    """The `MjModel` of a specification.
-
-    Raises:
-        InvalidInputError: MuJoCo refuses the `model` that it was made from.
-    """
-    try:
-        return spec.compile()
-    except ValueError as cause:
-        reason = " ".join(str(cause).split())
-        raise InvalidInputError(f"cannot use the model {model}: {reason}") from cause
 
 
 @functools.lru_cache(maxsize=8)
