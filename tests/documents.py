@@ -4,6 +4,7 @@ from legibility.evaluation.comparison import EXTERNAL, TESTED
 from legibility.evaluation.comparison import METRICS as MOTION_METRICS
 from legibility.evaluation.configuration import MODES
 from legibility.evaluation.contest import METHODS, OURS
+from legibility.evaluation.controller import ROWS as DISTURBED
 from legibility.evaluation.dial import LIMITS, METRICS
 from legibility.evaluation.execution import ROWS
 from legibility.evaluation.external import METHODS as EXTERNAL_PLANNERS
@@ -103,6 +104,32 @@ def external():
         "command": "legibility evaluate external --seed 7", "seed": 7, "model": MODEL,
         "config": {"scenes": 50, "regime": "obstacles", "goals": [2, 6], "levels": 11},
         "result": {"methods": dict.fromkeys(EXTERNAL_PLANNERS, method)},
+    }  # fmt: skip
+
+
+def controller():
+    spread = {"median": 0.5, "percentile": 5.25, "greatest": 7.125}
+    row = {
+        "motions": 50,
+        "success": {"mean": 0.98, "interval": (0.9, 1.0)},
+        "error": summary(0.03125),
+        "turned": summary(1.5),
+        "contacts": 0,
+        "step": spread,
+    }
+    rows = {
+        name: {
+            **row,
+            "turn": spread if row_.event else None,
+            "delay": spread if row_.event else None,
+        }
+        for name, row_ in DISTURBED.items()
+    }
+    return {
+        "command": "legibility evaluate controller --seed 7", "seed": 7, "model": MODEL,
+        "config": {"scenes": 50, "regime": "dragan", "goals": [2, 4], "dt": None,
+                   "budget": 0.003, "backend": "onnx"},
+        "result": {"rows": rows, "dt": 0.04},
     }  # fmt: skip
 
 

@@ -28,7 +28,7 @@ _MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym", "
 """A module of each extra."""
 _PARALLEL = (
     "dial", "eyes", "planning", "optimum", "external", "execution", "table1", "unseen",
-    "single-scene", "ablations", "timing",
+    "single-scene", "ablations", "timing", "controller",
 )  # fmt: skip
 """Evaluations with `--workers`, which does not change their metrics."""
 

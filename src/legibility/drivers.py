@@ -58,7 +58,8 @@ class Driver(Protocol):
 class Policy:
     """Stage 2; with `with_path=False` it sees only the goal.
 
-    A robot that has made no progress for five steps, as at a hairpin, executes half a chunk.
+    All lengths are in limits, so a robot of another limit moves on the same way. One that has made
+    no progress for five steps, as at a hairpin, executes half a chunk.
     """
 
     def __init__(
@@ -68,12 +69,12 @@ class Policy:
 
     def __call__(self, robots: RobotStates) -> Iterable[Array]:
         """See `Driver`."""
-        config = self.model.config
+        config, limit = self.model.config, robots.tracker.limit
         observation = Observation.of(
-            robots.positions, robots.previous, robots.goals, config.limit,
+            robots.positions, robots.previous, robots.goals, limit,
             robots.tracker if self.with_path else None,
         )  # fmt: skip
-        chunks = self.model.act(observation, self.steps)
+        chunks = self.model.act(observation, self.steps) * (limit / config.limit)
         long = max(config.execute, config.chunk // 2)
         number = np.where(robots.idle < _IDLE, config.execute, long)
         return [chunk[:n] for chunk, n in zip(chunks, number, strict=True)]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import (
     Array,
+    bounded,
     count,
     for_each,
     legibility_levels,
@@ -18,11 +20,14 @@ from .checks import (
     positive,
     seed_or_entropy,
 )
+from .controller import Controller
 from .drivers import Driver, Policy
+from .envs import vector_type
 from .envs.fleet import Fleet, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
 from .intent.observer import Observer
-from .models.configuration import PathDiffuserConfig
+from .models.configuration import BACKENDS, PathDiffuserConfig
+from .models.continuation import Rest, continuation
 from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
 from .models.path_sampler import PathSampler, Sampling, Tasks, nearest_candidates
@@ -30,12 +35,13 @@ from .models.pretrained import load_stages, pretrained_folder, save_stage
 from .models.provenance import TrainingRecord
 from .motion.archive import Archive, scene_archive
 from .motion.path import Path
-from .rollout import Rollout, follow, straight_if_near
+from .parts import finished
+from .rollout import Rollout, follow
 from .scene import Scene
-from .whole_arm import drawn_off_obstacles, paths_off_obstacles
+from .whole_arm import checked_arm, keeps_off, paths_off_obstacles
 
-BACKENDS = ("torch", "onnx")
-"""What may run the networks."""
+if TYPE_CHECKING:
+    from .robots.arm import Arm
 
 
 class Modulator:
@@ -137,9 +143,11 @@ class Modulator:
         observer: Observer | None = None,
         exact: bool = False,
         refine: bool = True,
+        max_detour: float | None = None,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
+        arm: Arm | str | None = None,
     ) -> Path:
         """A path from the scene's start to goal `target` for each ℓ.
 
@@ -157,11 +165,14 @@ class Modulator:
             refine: move paths out of contact and to the score that ℓ asks for; where that fails, or
                 makes waves, a curve of the archive stands in. Without it the network's own paths
                 are returned, feasible or not.
+            max_detour: longest path over the shortest feasible one, from 1 on: a level that takes
+                a longer one is met as nearly as it allows.
             num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
                 to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
                 Between, more than one needs the scene's archive.
             guidance: weight of classifier-free guidance at ±1; the model's if not given.
             steps: of the sampler; the model's if not given.
+            arm: that should keep off the obstacles with all its links, or its name.
 
         Raises:
             InvalidInputError: an argument is out of its range.
@@ -170,13 +181,27 @@ class Modulator:
         """
         levels = legibility_levels(legibility)
         seed = seed_or_entropy("seed", seed)
+        if (body := checked_arm(arm, self.config.dim)) is not None and scene.obstacles:
+            options = {
+                "exact": exact, "refine": refine, "max_detour": max_detour, "steps": steps,
+                "num_candidates": num_candidates, "guidance": guidance, "observer": observer,
+            }  # fmt: skip
+            asked = np.atleast_1d(levels)
+
+            def again(rows: list[int], seed: int) -> list[Path]:
+                path = self.plan(scene, target, asked[rows], seed=seed, **options)
+                return [path[i] for i in range(len(path))]
+
+            paths = paths_off_obstacles([body] * len(asked), again, seed)
+            return Path.of(paths) if levels.ndim else paths[0]
         number = count("num_candidates", num_candidates)
         sampling = Sampling(guidance, steps).checked(self.config)
         tasks = self._tasks([scene], [target], [observer], np.repeat(np.atleast_1d(levels), number))
         target, observer = tasks.targets[0], tasks.observers[0]
         paths, replaced = self.sampler.plan(
-            tasks, seed, sampling, exact=exact, refine=refine, candidates=number
-        )
+            tasks, seed, sampling, exact=exact, refine=refine, candidates=number,
+            max_detour=_detour(max_detour),
+        )  # fmt: skip
         if number > 1:
             scores = Path.through(paths, scene, target, tasks.levels, observer).score
             best = nearest_candidates(
@@ -200,6 +225,7 @@ class Modulator:
         observer: Observer | Sequence[Observer] | None = None,
         exact: bool = False,
         refine: bool = True,
+        max_detour: float | None = None,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -211,7 +237,7 @@ class Modulator:
             targets: index of the intended goal, one for all or `(B,)`.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             observer: who watches, one for all or a list of `B`.
-            seed, exact, refine, num_candidates, guidance, steps: see `plan`.
+            seed, exact, refine, max_detour, num_candidates, guidance, steps: see `plan`.
         """
         if not isinstance(scenes, Sequence) or not len(scenes):
             raise InvalidInputError(
@@ -230,14 +256,16 @@ class Modulator:
         if count("num_candidates", num_candidates) > 1:
             seeds = np.random.SeedSequence(seed).generate_state(size).tolist()
             options = {
-                "exact": exact, "refine": refine, "num_candidates": num_candidates,
-                **sampling._asdict(),
+                "exact": exact, "refine": refine, "max_detour": max_detour,
+                "num_candidates": num_candidates, **sampling._asdict(),
             }  # fmt: skip
             return [
                 self.plan(scene, target, level, seed=scene_seed, observer=watching, **options)
                 for scene, target, watching, level, scene_seed in zip(*tasks, seeds, strict=True)
             ]
-        paths, replaced = self.sampler.plan(tasks, seed, sampling, exact=exact, refine=refine)
+        paths, replaced = self.sampler.plan(
+            tasks, seed, sampling, exact=exact, refine=refine, max_detour=_detour(max_detour)
+        )
         return [
             Path(scene, target, level, waypoints, watching, stands_in)
             for scene, target, watching, level, waypoints, stands_in in zip(
@@ -285,6 +313,7 @@ class Modulator:
         observer: Observer | None = None,
         exact: bool = False,
         refine: bool = True,
+        max_detour: float | None = None,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -300,12 +329,12 @@ class Modulator:
             legibility: ℓ in [−1, 1].
             seed: of the paths and actions drawn; None draws others each time.
             path: the path to follow instead of planning one; it must start at the robot.
-            replan: whether to plan again, with the same ℓ for the rest of the motion, when a push
-                has taken the robot off its path by more than `tolerance` or its goal was moved;
-                without it the robot goes back to the path. Nearer to the goal than any start in
-                training, the rest is straight.
+            replan: whether to plan the rest of the motion anew when a push has taken the robot off
+                its path by more than `tolerance` or its goal was moved: it sets out in the
+                direction of motion, and ℓ is that of the whole. Without it the robot goes back to
+                the path.
             tolerance: [m]; the largest action's length if not given.
-            observer, exact, refine, num_candidates, guidance, steps: see `plan`.
+            observer, exact, refine, max_detour, num_candidates, guidance, steps: see `plan`.
             driver: moves the robot instead of stage 2.
 
         Raises:
@@ -317,8 +346,8 @@ class Modulator:
         (rollout,) = self.execute_many(
             env, None if target is None else [target], legibility,
             seed=seed, paths=None if path is None else [path], replan=replan, tolerance=tolerance,
-            observer=observer, exact=exact, refine=refine, num_candidates=num_candidates,
-            guidance=guidance, steps=steps, driver=driver,
+            observer=observer, exact=exact, refine=refine, max_detour=max_detour,
+            num_candidates=num_candidates, guidance=guidance, steps=steps, driver=driver,
         )  # fmt: skip
         return rollout
 
@@ -336,6 +365,7 @@ class Modulator:
         observer: Observer | None = None,
         exact: bool = False,
         refine: bool = True,
+        max_detour: float | None = None,
         num_candidates: int = 1,
         guidance: float | None = None,
         steps: int | None = None,
@@ -349,14 +379,11 @@ class Modulator:
                 `paths` or of the environments.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             paths: `B` paths to follow instead of planning; they must start at the robots.
-            seed, replan, tolerance, observer, exact, refine, num_candidates, guidance, steps,
-                driver: see `execute`.
+            seed, replan, tolerance, observer, exact, refine, max_detour, num_candidates, guidance,
+                steps, driver: see `execute`.
         """
         seed = seed_or_entropy("seed", seed)
-        if driver is None:
-            if self._policy is None:
-                raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
-            driver = Policy(self._policy)
+        driver = self._driver(driver)
         fleet = Fleet(env, seed)
         self._check_fleet(fleet)
         tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
@@ -371,23 +398,100 @@ class Modulator:
         if targets is not None:
             fleet.set_targets(for_each("targets", targets, fleet.size))
 
-        def plan(rows: list[int], positions: Array, seed: int) -> list[Path]:
-            scenes = fleet.scenes
+        def plan(rows: list[int], seed: int) -> list[Path]:
+            scenes, positions = fleet.scenes, fleet.positions
             return self.plan_many(
-                [scenes[row].starting_at(x) for row, x in zip(rows, positions, strict=True)],
+                [scenes[row].starting_at(positions[row]) for row in rows],
                 fleet.targets[rows].tolist(), levels[rows],
-                seed=seed, observer=observer, exact=exact, refine=refine,
+                seed=seed, observer=observer, exact=exact, refine=refine, max_detour=max_detour,
                 num_candidates=num_candidates, guidance=guidance, steps=steps,
             )  # fmt: skip
 
-        def plan_straight(rows: list[int], positions: Array, seed: int) -> list[Path]:
-            return [straight_if_near(path) for path in plan(rows, positions, seed)]
+        def plan_rest(row: int, rest: Rest) -> Path:
+            if not refine:
+                (path,) = plan([row], seed)
+                return path
+            parts = continuation(
+                rest, self.sampler, seed, Sampling(guidance, steps), exact=exact,
+                max_detour=max_detour, accepts=partial(keeps_off, arms[row]),
+            )  # fmt: skip
+            return finished(parts)
 
-        def plan_rest(rows: list[int], positions: Array) -> list[Path]:
-            return drawn_off_obstacles(fleet, plan_straight, rows, positions, seed)
-
-        chosen = list(paths) if paths is not None else paths_off_obstacles(fleet, plan, seed)
+        arms = fleet.arms
+        chosen = list(paths) if paths is not None else paths_off_obstacles(arms, plan, seed)
         return follow(fleet, chosen, driver, plan_rest if replan else None, tolerance)
+
+    def controller(
+        self,
+        scene: Scene,
+        target: int = 0,
+        legibility: float = 1.0,
+        *,
+        dt: float | None = None,
+        max_displacement: float | None = None,
+        tolerance: float | None = None,
+        budget: float | None = 0.003,
+        path: Path | None = None,
+        seed: int | None = 0,
+        observer: Observer | None = None,
+        exact: bool = False,
+        max_detour: float | None = None,
+        guidance: float | None = None,
+        steps: int | None = None,
+        driver: Driver | None = None,
+        arm: Arm | str | None = None,
+    ) -> Controller:
+        """A controller for a robot's own loop; the first path is planned here.
+
+        Args:
+            scene: the scene; its start is where the robot is.
+            target: index of the intended goal.
+            legibility: ℓ in [−1, 1], of the whole motion.
+            dt: duration of a step of the loop [s]; that of the model's environment if not given.
+            max_displacement: largest displacement of a step along each axis [m]; if not given, as
+                fast as the robots in training.
+            tolerance: distance from the path [m] beyond which the rest is planned anew;
+                `max_displacement` if not given.
+            budget: time [s] that a step may spend on planning; None is no limit. The part that is
+                begun in this time is finished: a few milliseconds more.
+            path: the first path, instead of planning it.
+            seed: of the paths drawn; None draws others each time.
+            observer, exact, max_detour, guidance, steps, arm: see `plan`.
+            driver: moves the robot instead of stage 2.
+
+        Raises:
+            InvalidInputError: an argument is out of its range or does not fit the others.
+            CheckpointError: the model has no stage 2.
+        """
+        own = vector_type(None, self.config.dim)
+        own_dt, seed = 1 / own.metadata["render_fps"], seed_or_entropy("seed", seed)
+        duration = own_dt if dt is None else positive("dt", dt)
+        limit = own.max_displacement * duration / own_dt
+        if max_displacement is not None:
+            limit = positive("max_displacement", max_displacement)
+        body = checked_arm(arm, self.config.dim)
+        if path is None:
+            path = self.plan(
+                scene, target, legibility, seed=seed, observer=observer, exact=exact,
+                max_detour=max_detour, guidance=guidance, steps=steps, arm=body,
+            )  # fmt: skip
+        if not isinstance(path, Path) or path.legibility.ndim:
+            raise InvalidInputError(f"path must be a legibility.Path of one level, got {path!r}")
+        return Controller(
+            path, self.sampler, self._driver(driver), limit=limit, dt=duration, seed=seed,
+            exact=exact, max_detour=_detour(max_detour), arm=body,
+            tolerance=limit if tolerance is None else positive("tolerance", tolerance),
+            budget=np.inf if budget is None else bounded("budget", budget, 0),
+            sampling=Sampling(guidance, steps).checked(self.config),
+        )  # fmt: skip
+
+    def _driver(self, driver: Driver | None) -> Driver:
+        """The driver given, or stage 2."""
+        if driver is not None:
+            return driver
+        if self._policy is None:
+            raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
+        return Policy(self._policy)
 
     def _check_scene(self, scene: Scene) -> None:
         if not isinstance(scene, Scene):
@@ -408,3 +512,8 @@ class Modulator:
                 f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
                 f"the environment's limit is {fleet.limit} m"
             )
+
+
+def _detour(max_detour: float | None) -> float | None:
+    """The detour that is allowed, checked."""
+    return None if max_detour is None else bounded("max_detour", max_detour, 1)

@@ -1,7 +1,7 @@
 """Closed-loop execution: robots follow their paths until each reaches its goal or is stopped."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -9,24 +9,25 @@ import numpy as np
 
 from .checks import Array
 from .curves import NUM_WAYPOINTS, resample
-from .drivers import Driver, RobotStates
+from .drivers import Driver
 from .envs.fleet import Fleet
 from .envs.guard import CORRECTED
 from .errors import InvalidInputError
 from .intent.metrics import SCORE_POINTS, time_to_confidence
-from .motion.path import Path, straight_waypoints
-from .motion.tracking import PathTracker
-from .scene import MIN_SEPARATION
+from .models.continuation import Rest
+from .motion.path import Path
+from .pilot import Pilot
 
 if TYPE_CHECKING:
     from .motion.timed import Motion
     from .robots.arm import Arm
 
-Replan = Callable[[list[int], Array], list[Path]]
-"""New paths for some robots, given their indices and positions `(N, D)` [m]."""
+Replan = Callable[[int, Rest], Path]
+"""The new rest of the motion of a robot, given its index."""
 
-_PATIENCE = 2.0
-_PROGRESS = 0.2
+PATIENCE = 2.0
+"""Time without progress after which a robot is stopped [s]."""
+
 _LOST = 6.0
 _RESTARTS = 3
 
@@ -151,8 +152,8 @@ def follow(
         fleet: `B` robots.
         paths: a path for each, from its position.
         driver: moves them.
-        replan: gives new paths to robots that a push has taken off theirs by more than `tolerance`
-            and to robots whose goal was moved; without it they go back to their path.
+        replan: gives a new rest of the motion to robots that a push has taken off their paths by
+            more than `tolerance` and to robots whose goal was moved; without it they go back.
         tolerance: [m].
 
     Raises:
@@ -173,37 +174,23 @@ class _Run:
 
     def __init__(self, fleet: Fleet, paths: list[Path], driver: Driver) -> None:
         size = fleet.size
-        self.fleet, self.driver = fleet, driver
-        waypoints = np.stack([path.waypoints for path in paths])
-        self.tracker = PathTracker(waypoints, fleet.limit, fleet.workspace)
-        self.goals = waypoints[:, -1]
-        self.positions = self.previous = fleet.positions
-        self.chunks: list[Array] = [np.empty((0, self.goals.shape[1]))] * size
+        self.fleet = fleet
+        self.pilot = Pilot(paths, driver, fleet.positions, fleet.limit, fleet.workspace)
         self.active = np.ones(size, dtype=bool)
         self.success, self.ended = np.zeros((2, size), dtype=bool)
         self.reasons = np.full(size, "", dtype=object)
-        self.least = np.full(size, np.inf)  # left to go [m] when it last fell by _PROGRESS
-        self.steps, self.idle, self.restarts = np.zeros((3, size), dtype=int)
+        self.steps, self.restarts = np.zeros((2, size), dtype=int)
         self.wall_contacts, self.contacts, self.corrections = np.zeros((3, size), dtype=int)
         self.replans: list[list[int]] = [[] for _ in range(size)]
         self.counts = {name: np.zeros(size, dtype=int) for name in fleet.counts}
-        self.states, self.joint_angles = [self.positions], [fleet.joint_angles]
+        self.states, self.joint_angles = [fleet.positions], [fleet.joint_angles]
         self.actions, self.deviations = list[Array](), list[Array]()
 
     def next_actions(self) -> Array:
         """The next displacement of each robot, made safe, `(B, D)` [m]; 0 for those that ended."""
-        rows = np.flatnonzero(self.active & np.array([not len(c) for c in self.chunks]))
-        if len(rows):
-            robots = RobotStates(
-                rows, self.positions[rows], self.previous[rows], self.goals[rows],
-                self.tracker.of(rows), self.idle[rows],
-            )  # fmt: skip
-            for row, chunk in zip(rows, self.driver(robots), strict=True):
-                self.chunks[row] = chunk
-        wanted = np.zeros_like(self.positions)
-        for row in np.flatnonzero(self.active):
-            wanted[row], self.chunks[row] = self.chunks[row][0], self.chunks[row][1:]
-        actions = self.fleet.safe(wanted, self.positions, self.positions - self.previous)
+        pilot = self.pilot
+        wanted = pilot.wanted(self.active)
+        actions = self.fleet.safe(wanted, pilot.positions, pilot.displacements)
         actions[~self.active] = 0
         self.corrections += ~(np.abs(actions - wanted) <= CORRECTED).all(-1)  # NaN is corrected
         return actions
@@ -212,13 +199,12 @@ class _Run:
         """Send the actions and record the step."""
         fleet, active = self.fleet, self.active
         self.success, self.ended = fleet.step(actions, active)
-        self.previous = self.positions
-        self.positions = np.where(active[:, None], fleet.positions, self.positions)
-        self.tracker.update(self.positions, self.previous)
-        self.states.append(self.positions)
+        positions = np.where(active[:, None], fleet.positions, self.pilot.positions)
+        self.pilot.moved(positions, actions)
+        self.states.append(positions)
         self.joint_angles.append(fleet.joint_angles)
         self.actions.append(actions)
-        self.deviations.append(self.tracker.distance(self.positions))
+        self.deviations.append(self.pilot.deviation)
         self.steps += active
         self.wall_contacts += active & fleet.wall_contacts
         self.contacts += active & fleet.contacts
@@ -226,18 +212,12 @@ class _Run:
             self.counts[name][active] = number[active]
 
     def stop_ended(self, *, may_replan: bool) -> None:
-        """Note why robots end that do; progress is along the path, or to the goal without one."""
-        fleet, deviation = self.fleet, self.deviations[-1]
-        if self.driver.with_path:
-            remaining = self.tracker.remaining + deviation
-            lost = deviation > (np.inf if may_replan else _LOST * fleet.limit)
-        else:
-            remaining = np.linalg.norm(self.positions - self.goals, axis=-1)
-            lost = np.zeros_like(self.active)
-        closer = remaining < self.least - _PROGRESS * fleet.limit
-        self.least = np.where(closer, remaining, self.least)
-        self.idle = np.where(closer, 0, self.idle + 1)
-        stalled = self.idle >= round(_PATIENCE / fleet.step_seconds)
+        """Note why robots end that do; one may be lost only on a path that it keeps to."""
+        fleet, pilot = self.fleet, self.pilot
+        lost = np.zeros_like(self.active)
+        if pilot.driver.with_path and not may_replan:
+            lost = pilot.deviation > _LOST * fleet.limit
+        stalled = pilot.idle >= round(PATIENCE / fleet.step_seconds)
         reasons = {"reached": self.success, "time": self.ended, "lost": lost, "stalled": stalled}
         for reason, happened in reasons.items():
             self.reasons[self.active & happened & (self.reasons == "")] = reason
@@ -245,20 +225,16 @@ class _Run:
 
     def replan(self, plan: Replan, tolerance: float) -> None:
         """Give new paths to robots that were pushed off theirs or whose goal was moved."""
-        goals = self.fleet.goals
-        moved = np.linalg.norm(goals - self.goals, axis=-1) > 1e-9
-        rows = np.flatnonzero(self.active & (moved | (self.deviations[-1] > tolerance)))
-        if not len(rows):
-            return
-        paths = plan(rows.tolist(), self.positions[rows])
-        self.tracker.replace(rows, np.stack([path.waypoints for path in paths]))
-        self.goals[rows] = goals[rows]
-        # A robot that leaves every new path as well restarts its stall timer only a few times.
-        fresh = rows[moved[rows] | (self.restarts[rows] < _RESTARTS)]
-        self.least[fresh], self.idle[fresh] = np.inf, 0
-        self.restarts[fresh] += 1
+        fleet, pilot = self.fleet, self.pilot
+        moved = np.linalg.norm(fleet.goals - pilot.goals, axis=-1) > 1e-9
+        rows = np.flatnonzero(self.active & (moved | (pilot.deviation > tolerance))).tolist()
+        scenes = fleet.scenes if rows else []
         for row in rows:
-            self.chunks[row] = self.chunks[row][:0]
+            states = np.stack([positions[row] for positions in self.states])
+            path = plan(row, pilot.rest(row, scenes[row], states))
+            # A robot that leaves every new path as well restarts its stall timer only a few times.
+            pilot.take(row, path, fresh=bool(moved[row] or self.restarts[row] < _RESTARTS))
+            self.restarts[row] += moved[row] or self.restarts[row] < _RESTARTS
             self.replans[row].append(int(self.steps[row]))
 
     def rollouts(self, paths: list[Path]) -> list[Rollout]:
@@ -305,12 +281,3 @@ def _check_paths(paths: list[Path], fleet: Fleet) -> None:
                 f"a path must end at the intended goal, {goal.tolist()}, "
                 f"got {path.waypoints[-1].tolist()}"
             )
-
-
-def straight_if_near(path: Path) -> Path:
-    """The path, or the straight line where the goal is nearer than in any scene of training."""
-    start, goal = path.waypoints[0], path.waypoints[-1]
-    if np.linalg.norm(goal - start) >= 2 * MIN_SEPARATION * path.scene.diagonal:
-        return path
-    straight = replace(path, waypoints=straight_waypoints(start, goal))
-    return straight if straight.feasible else path

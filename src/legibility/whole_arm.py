@@ -2,38 +2,57 @@
 
 A hand is much wider than its grasp point, and a wrist and a forearm follow it. Paths are checked on
 the arm's geometry; where those that are drawn touch, the scene's archive is searched for the curve
-of the nearest label that does not.
+of the nearest label that does not. A robot without an arm (None) is a point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .checks import Array
 from .curves import NUM_WAYPOINTS
-from .envs.block_reach import BlockReachVector
-from .envs.fleet import Fleet
-from .errors import InvalidSceneError
+from .errors import InvalidInputError, InvalidSceneError
 from .intent.observer import Observer
 from .motion.archive import scene_archive
 from .motion.bezier import bezier_trajectories
 from .motion.path import Path
+from .parts import Parts, finished
 from .scene import Scene
+
+if TYPE_CHECKING:
+    from .robots.arm import Arm
 
 MARGIN = 0.01
 """Gap that an arm keeps from obstacles on a path [m], for the motion that deviates from it."""
 
 _DRAWS, _POINTS = 4, 64  # paths drawn, points of a curve that is checked
 _LEFT_OUT = 64  # curves tried of those that touch by all appearances
+_AT_ONCE = 8  # poses in a part
 
-Plan = Callable[[list[int], Array, int], list[Path]]
-"""Paths for some robots, given their indices, positions `(N, D)` [m] and a seed."""
+Plan = Callable[[list[int], int], list[Path]]
+"""Paths for some robots, given their indices and a seed."""
 
 
-def paths_off_obstacles(fleet: Fleet, plan: Plan, seed: int) -> list[Path]:
+def checked_arm(arm: Arm | str | None, dim: int) -> Arm | None:
+    """The arm given, or that of a name, which moves in 3-D."""
+    if arm is None:
+        return None
+    from .robots.arm import Arm
+
+    if isinstance(arm, str):
+        arm = Arm.named(arm)
+    if not isinstance(arm, Arm):
+        raise InvalidInputError(f"arm must be a legibility.Arm or a name, got {arm!r}")
+    if dim != 3:
+        raise InvalidInputError(f"an arm moves in 3-D, the scene is {dim}-D")
+    return arm
+
+
+def paths_off_obstacles(arms: Sequence[Arm | None], plan: Plan, seed: int) -> list[Path]:
     """A path for each robot on which no link of its arm touches an obstacle.
 
     Where all that are drawn touch, the archive's curve of the nearest label stands in, and the
@@ -42,60 +61,54 @@ def paths_off_obstacles(fleet: Fleet, plan: Plan, seed: int) -> list[Path]:
     Raises:
         InvalidSceneError: there is none.
     """
-    paths = drawn_off_obstacles(fleet, plan, list(range(fleet.size)), fleet.positions, seed)
-    for row, path in enumerate(paths):
-        if not _keeps_off(fleet, row, path):
-            paths[row] = _from_archive(fleet, row, path)
-    return paths
-
-
-def drawn_off_obstacles(
-    fleet: Fleet, plan: Plan, rows: list[int], positions: Array, seed: int
-) -> list[Path]:
-    """Paths of robots `rows` from `positions (N, D)` [m], drawn again where the arm would touch.
-
-    A path on which it touches in all draws is returned nevertheless.
-    """
-    paths = plan(rows, positions, seed)
-    left = np.arange(len(rows))
+    left = list(range(len(arms)))
+    paths = plan(left, seed)
     for draw in range(1, _DRAWS + 1):
-        left = np.array([i for i in left if not _keeps_off(fleet, rows[i], paths[i])], dtype=int)
-        if draw == _DRAWS or not len(left):
+        left = [row for row in left if not finished(keeps_off(arms[row], paths[row]))]
+        if draw == _DRAWS or not left:
             break
-        again = plan([rows[i] for i in left], positions[left], seed ^ (draw << 32))
-        for i, path in zip(left, again, strict=True):
-            paths[i] = path
+        for row, path in zip(left, plan(left, seed ^ (draw << 32)), strict=True):
+            paths[row] = path
+    for row in left:
+        paths[row] = _from_archive(arms[row], paths[row])
     return paths
 
 
-def arm_can_pass(kind: type[BlockReachVector], scene: Scene, observer: Observer) -> bool:
+def arm_can_pass(arm: Arm | None, scene: Scene, observer: Observer) -> bool:
     """Whether a curve of the scene's archive to goal 0 is found that keeps the robot off obstacles.
 
     Curves that touch by all appearances are not tried, see `_free_curves`.
     """
-    env = kind(1, max_goals=max(6, scene.num_goals))
-    env.reset(seed=0, options={"scene": scene, "target": 0})
-    fleet = Fleet(env, 0)
-    try:
-        if not _has_arm_among_obstacles(fleet, 0):
-            return True
-        if any(env.arm_touches(point) for point in (scene.start, scene.goals[0])):
-            return False
-        nothing = np.empty((NUM_WAYPOINTS + 2, scene.dim))
-        path = Path.through(nothing, scene, 0, np.array(0.0), observer)
-        return next(_free_curves(fleet, 0, path, thorough=False), None) is not None
-    finally:
-        env.close()
-
-
-def _has_arm_among_obstacles(fleet: Fleet, row: int) -> bool:
-    return fleet.joint_angles.shape[1] > 0 and len(fleet.scenes[row].obstacles) > 0
-
-
-def _keeps_off(fleet: Fleet, row: int, path: Path) -> bool:
-    if not _has_arm_among_obstacles(fleet, row):
+    if arm is None or not scene.obstacles:
         return True
-    return _clear(fleet.arm_gaps(path.trajectory(_POINTS), row)[1])
+    if any(arm.touches(scene.obstacles, point) for point in (scene.start, scene.goals[0])):
+        return False
+    nothing = np.empty((NUM_WAYPOINTS + 2, scene.dim))
+    path = Path.through(nothing, scene, 0, np.array(0.0), observer)
+    return next(_free_curves(arm, path, thorough=False), None) is not None
+
+
+def keeps_off(arm: Arm | None, path: Path) -> Parts[bool]:
+    """Whether no link of an arm touches an obstacle on a path."""
+    if arm is None or not path.scene.obstacles:
+        return True
+    _, gaps = yield from _gaps(arm, path)
+    return _clear(gaps)
+
+
+def _gaps(arm: Arm, path: Path) -> Parts[tuple[Array, Array]]:
+    """Points `(P, 3)` [m] of a path, 1 cm apart, and the arm's least gap there, `(P,)` [m]."""
+    from .robots.arm import checked_points
+
+    points, poses = checked_points(path.trajectory(_POINTS)), list[Array]()
+    for few in np.array_split(points, -(-len(points) // _AT_ONCE)):
+        poses.append(arm.postures(few, near=poses[-1][-1] if poses else None))
+        yield
+    gaps = list[Array]()
+    for few in poses:
+        gaps.append(arm.obstacle_gaps(path.scene.obstacles, few))
+        yield
+    return points, np.concatenate(gaps)
 
 
 def _needed(gaps: Array) -> float:
@@ -107,17 +120,18 @@ def _clear(gaps: Array) -> bool:
     return bool(gaps.min() > 0 and gaps.min() >= _needed(gaps))
 
 
-def _from_archive(fleet: Fleet, row: int, path: Path) -> Path:
+def _from_archive(arm: Arm | None, path: Path) -> Path:
     """The archive's curve of the nearest label on which the arm touches nothing."""
+    assert arm is not None, "a point touches nothing"
     for name, point in (("start", path.waypoints[0]), ("target", path.waypoints[-1])):
-        if touched := fleet.arm_touches(point, row):
+        if touched := arm.touches(path.scene.obstacles, point):
             link, obstacle = touched[0]
             raise InvalidSceneError(
                 f"the arm cannot take part in this scene: with its grasp point at the {name} "
                 f"{point.tolist()} its {link} touches obstacles[{obstacle}], "
-                f"{fleet.scenes[row].obstacles[obstacle]!r}"
+                f"{path.scene.obstacles[obstacle]!r}"
             )
-    for free in _free_curves(fleet, row, path, thorough=True):
+    for free in _free_curves(arm, path, thorough=True):
         return free
     raise InvalidSceneError(
         f"the arm cannot pass the obstacles to the target goals[{path.target}]: of the "
@@ -126,7 +140,7 @@ def _from_archive(fleet: Fleet, row: int, path: Path) -> Path:
     )
 
 
-def _free_curves(fleet: Fleet, row: int, path: Path, *, thorough: bool) -> Iterator[Path]:
+def _free_curves(arm: Arm, path: Path, *, thorough: bool) -> Iterator[Path]:
     """The archive's curves on which the arm touches nothing, that of the nearest label first.
 
     The hand does not turn, so a curve that comes nearer to a point in contact than the contact is
@@ -144,7 +158,7 @@ def _free_curves(fleet: Fleet, row: int, path: Path, *, thorough: bool) -> Itera
         found = replace(path, waypoints=waypoints, replaced=np.True_)
         if not found.feasible:
             return None
-        points, gaps = fleet.arm_gaps(found.trajectory(_POINTS), row)
+        points, gaps = finished(_gaps(arm, found))
         if _clear(gaps):
             return found
         deepest, depth = points[gaps.argmin()], _needed(gaps) - gaps.min()

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from arms import UR5E, ur5e
 
 from legibility.data import demonstrations
 from legibility.data.configuration import DatasetConfig, DemonstrationsConfig
@@ -12,6 +13,7 @@ from legibility.data.dataset import Dataset, generate
 from legibility.data.demonstrations import Demonstrations, demonstrate
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.errors import DatasetError, InvalidInputError
+from legibility.files import write_document
 
 SHARD = 4
 TINY = DatasetConfig(
@@ -90,7 +92,7 @@ def test_the_guard_knows_the_obstacles(made, monkeypatch):
     config = DemonstrationsConfig(demonstrations=1, noise=0.0, push=0.0)
     size = len(paths)
     demonstrations._roll(
-        config, data.scenes[::2], paths, np.zeros(size, bool), list(range(size))
+        config, None, data.scenes[::2], paths, np.zeros(size, bool), list(range(size))
     )  # fmt: skip
     assert not np.any(touched)
 
@@ -161,3 +163,24 @@ def test_an_arm_demonstrates_in_solid_scenes(tmp_path):
     for path, states in zip(shown.paths, shown.states, strict=True):
         np.testing.assert_allclose(states[0], path[0], atol=1e-4)
         assert np.linalg.norm(states[-1] - path[-1]) <= 0.02
+
+
+def test_any_arm_demonstrates(tmp_path):
+    """Which one, the manifest says by its name, and not by its file."""
+    arm = ur5e(name="ours")
+    content = {"model": str(arm.model), "name": "ours", **UR5E}
+    limits = {"velocity": [3.0] * 6, "acceleration": [10.0] * 6, "jerk": [1000.0] * 6}
+    write_document(file := tmp_path / "arm.yaml", {**content, "limits": limits})
+    source = DatasetConfig(
+        scenes=1, dim=3, per_scene=4, cells=6, candidates=4096, goals=(2, 2), seed=2
+    )
+    generate(source, folder := tmp_path / "data")
+    shutil.copytree(folder, other := tmp_path / "other")
+    shown = demonstrate(folder, DemonstrationsConfig(demonstrations=2, arm=str(file)))
+    assert shown.config.arm == "ours"
+    assert len(shown) == 2
+    panda = demonstrate(other, DemonstrationsConfig(demonstrations=2))
+    assert panda.config.arm is None
+    assert not np.allclose(shown.states[0][5], panda.states[0][5], atol=1e-5)
+    with pytest.raises(InvalidInputError, match="arm must be one of panda"):
+        demonstrate(folder, DemonstrationsConfig(demonstrations=2, arm="ur5"))

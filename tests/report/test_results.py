@@ -17,6 +17,7 @@ ALL = {
     "table1": documents.table1(), "unseen": documents.unseen(), "spectrum": documents.spectrum(),
     "ablations": documents.ablations(), "single-scene": documents.single_scene(),
     "external": documents.external(), "timing": documents.timing(),
+    "controller": documents.controller(),
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import documents
 
 from legibility.evaluation.comparison import EXTERNAL
 from legibility.evaluation.contest import CANDIDATES, METHODS, OURS
+from legibility.evaluation.controller import ROWS as DISTURBED
 from legibility.evaluation.execution import ROWS
 from legibility.report.comparisons import (
     external_section,
@@ -13,6 +14,7 @@ from legibility.report.comparisons import (
 )
 from legibility.report.sections import (
     ablations_section,
+    controller_section,
     execution_section,
     spectrum_section,
     timing_section,
@@ -26,6 +28,18 @@ def text_of(section):
 
 def tables_of(section):
     return [part for part in section if isinstance(part, Table)]
+
+
+def test_controller():
+    section = controller_section(documents.controller())
+    (table,) = tables_of(section)
+    assert [row[0] for row in table.rows] == [row.text for row in DISTURBED.values()]
+    assert table.rows[0][1:] == (
+        "50", "98.00%", "0.0312", "–", "0.5 / 5.2 / 7.1", "–", "1.50", "0",
+    )  # fmt: skip
+    assert table.rows[1][4] == "0.5 / 5.2 / 7.1"
+    assert table.rows[1][6] == "0.50"
+    assert "a step each 40 ms, on one core by onnxruntime; planning has 3 ms" in text_of(section)
 
 
 def test_timing():

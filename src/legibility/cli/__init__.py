@@ -30,6 +30,7 @@ _VERBS = {
     "evaluate planning": "measure error against planning time, beside search and archives",
     "evaluate optimum": "compare plans with the best motions of their length and with a bound",
     "evaluate timing": "check that timed motions keep their limits, and what they cost",
+    "evaluate controller": "disturb motions on the way and see how the controller goes on",
     "evaluate external": "rate motions, ours and yours, by other people's definitions",
     "evaluate execution": "measure executed motions and their controllers on held-out scenes",
     "evaluate table1": "the paper's Table I: every method's most legible motions, executed",

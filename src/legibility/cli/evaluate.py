@@ -24,6 +24,7 @@ _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig)
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
 _Unseen = Annotated[Any, arg(constructor=flags(configuration.UnseenConfig))]
 _Spectrum = Annotated[Any, arg(constructor=flags(configuration.SpectrumConfig))]
+_Controller = Annotated[Any, arg(constructor=flags(configuration.ControllerConfig))]
 _Timing = Annotated[Any, arg(constructor=flags(configuration.TimingConfig))]
 _External = Annotated[Any, arg(constructor=flags(configuration.ExternalConfig))]
 _SingleScene = Annotated[Any, arg(constructor=flags(configuration.SingleSceneConfig))]
@@ -125,6 +126,18 @@ def external(
         raise InvalidInputError("--target belongs to --scene")
     settings = configuration.ExternalConfig
     _evaluate("external", settings, evaluation, model, json, workers=workers, given=given)
+
+
+def controller(
+    evaluation: _Controller, workers: Workers, model: _Model = MODEL, json: _Json = None
+) -> None:
+    """Disturb motions once on their way, and see how the controller goes on.
+
+    It is asked to replan, the robot is pushed, the target moves, or an obstacle appears; beside it,
+    a new plan from there. Times are those of this machine: use one worker.
+    """
+    settings = configuration.ControllerConfig
+    _evaluate("controller", settings, evaluation, model, json, workers=workers)
 
 
 def timing(
@@ -255,7 +268,7 @@ _ENDS = 0.01
 _MODULES = {"table1": "comparison", "unseen": "comparison"}
 """The modules of evaluations that have another name."""
 
-_PLANS = ("dial", "eyes", "planning", "optimum", "external", "timing")
+_PLANS = ("dial", "eyes", "planning", "optimum", "external", "timing", "controller")
 """Evaluations of scenes, by stage 1 alone unless the loop is closed."""
 
 
@@ -289,8 +302,9 @@ def _evaluate(
         options["policies"] = load_baselines(names)
         weights["baselines"] = [output.model_record(name) for name in names.values()]
     name = model or MODELS[environment_dim(settings.env)]
-    plans = kind in _PLANS and not getattr(settings, "closed_loop", False)
-    modulator = Modulator.from_pretrained(name)
+    plans = kind in _PLANS and not getattr(settings, "closed_loop", kind == "controller")
+    backend = getattr(settings, "backend", "torch")
+    modulator = Modulator.from_pretrained(name, backend=backend)
     weights["model"] = output.model_record(name, "path" if plans else "*")
     with output.progress_bar("scenes" if kind in _PLANS else "rollouts") as progress:
         evaluate = getattr(module, f"evaluate_{kind}")

@@ -20,6 +20,7 @@ from . import output
 if TYPE_CHECKING:
     from ..motion.path import Path as Path_
     from ..motion.timed import Motion
+    from ..robots.arm import Arm
 
 MODEL = "block-reach-2d"
 MODELS = {2: MODEL, 3: "panda-block-reach"}
@@ -104,6 +105,8 @@ class Motions(Place):
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 gives nine equal steps.
         model: name of shipped weights, or a folder; if not given, those of the scene's dimension.
         seed: of every random draw, of paths and in execution.
+        max_detour: longest path over the shortest feasible one; a level that takes a longer one is
+            met as nearly as it allows.
         candidates: paths drawn for each level, of which the nearest to it is kept; at -1 and 1 the
             most extreme one.
         exact: meet each level by the scene's archive, which is built once, and not by ready-made
@@ -114,6 +117,7 @@ class Motions(Place):
     legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1")
     model: OptionalText = None
     seed: int = 0
+    max_detour: OptionalFloat = None
     candidates: int = 1
     exact: bool = False
     refine: bool = True
@@ -131,6 +135,7 @@ class Motions(Place):
             "observer": observer,
             "exact": self.exact,
             "refine": self.refine,
+            "max_detour": self.max_detour,
             "num_candidates": self.candidates,
         }
 
@@ -148,6 +153,7 @@ class Timed:
         arm: panda, or a .yaml or .json file of one.
         frame: world or base, in which positions are written.
         max_duration: longest duration [s] that is accepted.
+        profile: figure of speed, limits and belief over time, .png, .pdf or .svg.
     """
 
     out: OutputFile = None
@@ -156,6 +162,7 @@ class Timed:
     arm: OptionalText = None
     frame: str = "world"
     max_duration: OptionalFloat = None
+    profile: OutputFile = None
 
     def files(self, asked: Array, dim: int, others: Sequence[Path | None]) -> list[Path]:
         """The file of each level, once all is checked; none if no motion is to be written.
@@ -179,7 +186,18 @@ class Timed:
         if self.frame not in FRAMES or (self.frame == "base" and arm is None):
             allowed = ", ".join(FRAMES) if arm is not None else "world without an arm"
             raise InvalidInputError(f"frame must be one of {allowed}, got {self.frame!r}")
-        return motion_files(self.out, asked, others)
+        if self.profile is not None:
+            from ..figures.motion import check_number
+
+            output.check_figure(self.profile)
+            check_number(len(asked))
+        return motion_files(self.out, asked, (*others, self.profile))
+
+    def body(self) -> "Arm | None":
+        """The arm that moves, if one does; its links keep off obstacles on planned paths."""
+        from ..motion.timed import mover
+
+        return None if self.out is None else mover(self.limits, self.arm)[1]
 
     def motions(self, path: "Path_") -> "list[Motion]":
         """The timed motion of each level of a path."""

@@ -42,7 +42,9 @@ def plan(
     from ..modulator import Modulator
 
     options = {**motions.options(observer), "guidance": guidance, "steps": steps}
-    path = Modulator.from_pretrained(model).plan(scene, target, asked, seed=motions.seed, **options)
+    path = Modulator.from_pretrained(model).plan(
+        scene, target, asked, seed=motions.seed, arm=timed.body(), **options
+    )
     moves = timed.motions(path) if files else []
     archive = path.archive
     columns = {
@@ -82,6 +84,10 @@ def plan(
     )  # fmt: skip
     for motion, file in zip(moves, files, strict=True):
         motion.save(file)
+    if moves and timed.profile is not None:
+        from ..figures.motion import motion_figure
+
+        motion_figure(moves, timed.profile)
     if figure is not None:
         from ..figures.paper import plan_figure
 

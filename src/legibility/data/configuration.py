@@ -216,6 +216,8 @@ class DemonstrationsConfig:
             back to the path; 6 % of the largest displacement if not given.
         pushed: share of the demonstrations with one push.
         push: distance of a push [m]; twice the largest displacement if not given.
+        arm: that demonstrates in MuJoCo, a .yaml or .json file; the Panda if not given. What is
+            stored is its name.
     """
 
     demonstrations: int = 0
@@ -223,6 +225,7 @@ class DemonstrationsConfig:
     noise: float | None = None
     pushed: float = 0.25
     push: float | None = None
+    arm: str | None = None
 
     def __post_init__(self) -> None:
         count("demonstrations", self.demonstrations, low=0)

@@ -19,8 +19,10 @@ from ..envs import vector_type
 from ..envs.fleet import safe_actions
 from ..errors import InvalidInputError
 from ..motion.tracking import PathTracker, feedback_action
+from ..robots.arm import Arm
 from ..scene import DEFAULT_WORKSPACE, Scene
 from ..seeds import stream_seed
+from ..whole_arm import checked_arm
 from .configuration import DatasetConfig, DemonstrationsConfig
 from .dataset import Dataset
 from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
@@ -120,10 +122,11 @@ def demonstrate(
     folder = Path(folder)
     data = Dataset.load(folder)
     source = data.config
-    config = config.within(source)
+    config, arm = config.within(source), checked_arm(config.arm, source.dim)
     scenes = config.demonstrated or source.scenes
     content = {
         **asdict(config),
+        "arm": None if arm is None else arm.name,
         "dataset": source.to_dict(),
         "digest": data.digest,
         "limit": vector_type(None, source.dim).max_displacement,
@@ -137,7 +140,7 @@ def demonstrate(
         return first, data.scenes[rows], data.waypoints[rows], data.labels[rows]
 
     make_shards(
-        folder, DEMONSTRATIONS, content, names, partial(_shard, source, config, content),
+        folder, DEMONSTRATIONS, content, names, partial(_shard, source, config, arm, content),
         {"scenes": scenes}, source=part, workers=workers, cluster=cluster, progress=progress,
     )  # fmt: skip
     return Demonstrations.load(folder)
@@ -145,7 +148,11 @@ def demonstrate(
 
 @np.errstate(under="ignore")
 def _shard(
-    source: DatasetConfig, config: DemonstrationsConfig, content: dict[str, Any], part: _Part
+    source: DatasetConfig,
+    config: DemonstrationsConfig,
+    arm: Arm | None,
+    content: dict[str, Any],
+    part: _Part,
 ) -> bytes:
     """Demonstrations in some scenes of the dataset `source`, `content` being their manifest's."""
     first, scenes, inner, labels = part
@@ -166,7 +173,7 @@ def _shard(
     seeds = [int(s) for rng in rngs for s in rng.integers(2**62, size=number)]
     repeated = [scene for scene in scenes for _ in range(number)]
 
-    motions, success = _roll(config, repeated, paths, pushed, seeds)
+    motions, success = _roll(config, arm, repeated, paths, pushed, seeds)
     rows = [
         {
             "scene": first + i // number,
@@ -189,13 +196,15 @@ def _shard(
 
 def _roll(
     config: DemonstrationsConfig,
+    arm: Arm | None,
     scenes: list[Scene],
     paths: Array,
     pushed: np.ndarray,
     seeds: list[int],
 ) -> tuple[list[tuple[Array, Array]], np.ndarray]:
     """States and actions of the controller on `paths`, and whether it reached the goals."""
-    env = vector_type(None, scenes[0].dim)(len(paths))
+    kind: Any = vector_type(None, scenes[0].dim)
+    env = kind(len(paths)) if arm is None else kind(len(paths), arm=arm)
     assert config.push is not None
     options = {"scene": scenes, "noise": config.noise, "push": (config.push * pushed).tolist()}
     observation, _ = env.reset(seed=seeds, options=options)

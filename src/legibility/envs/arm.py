@@ -4,10 +4,10 @@ from abc import abstractmethod
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..checks import Array, finite_array
-from ..robots.arm import PANDA, Arm, checked_points
+from ..checks import Array
+from ..robots.arm import PANDA
 from .block_reach import BlockReachVector
 from .guard import Planes
 
@@ -34,8 +34,7 @@ class ArmVector(BlockReachVector):
     overshoot = 0.05
     substeps: ClassVar[int] = 20
     """Physics steps in a control step, 2 ms each."""
-    arm: Arm = PANDA
-    """The arm that moves."""
+    arm = PANDA
 
     @abstractmethod
     def _drive(self, indices: NDArray, targets: Array) -> Array:
@@ -70,34 +69,7 @@ class ArmVector(BlockReachVector):
         """See `BlockReachVector.planes`."""
         if not any(scene.obstacles for scene in self.scenes):
             return None
-        found = [
+        return Planes.of([
             next(self.arm.nearby(scene.obstacles, pose[None]))
             for scene, pose in zip(self.scenes, self.joint_angles, strict=True)
-        ]
-        most = max(1, *(len(near.gaps) for near in found))
-        normals, gaps = np.zeros((len(found), most, 3)), np.full((len(found), most), np.inf)
-        for row, near in enumerate(found):
-            normals[row, : len(near.gaps)], gaps[row, : len(near.gaps)] = near.normals, near.gaps
-        return Planes(normals, gaps)
-
-    def arm_gaps(self, trajectory: ArrayLike, index: int = 0) -> tuple[Array, Array]:
-        """See `BlockReachVector.arm_gaps`; the base, which never moves, does not count.
-
-        Raises:
-            InvalidInputError: the trajectory is not one.
-            MissingExtraError: MuJoCo is not installed.
-        """
-        curve = finite_array("trajectory", trajectory, ndim=2, last=3)
-        if not (obstacles := self.scenes[index].obstacles):
-            return super().arm_gaps(curve, index)
-        points = checked_points(curve)
-        return points, self.arm.obstacle_gaps(obstacles, self.arm.postures(points))
-
-    def arm_touches(self, position: ArrayLike, index: int = 0) -> list[tuple[str, int]]:
-        """See `BlockReachVector.arm_touches`."""
-        point = finite_array("position", position, ndim=1, last=3)
-        if not (obstacles := self.scenes[index].obstacles):
-            return []
-        (near,) = self.arm.nearby(obstacles, self.arm.postures(point[None]))
-        pairs = zip(near.links, near.obstacles.tolist(), near.gaps, strict=True)
-        return sorted({(link, obstacle) for link, obstacle, gap in pairs if gap < 0})
+        ])  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..checks import Array, bounded, count, finite_array, for_each, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
@@ -84,6 +84,8 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
     """Ranges of these options where they are wider."""
     counted: ClassVar[tuple[str, ...]] = ()
     """Names of `counts`."""
+    arm: Any = None
+    """The arm that moves, if it is one."""
     overshoot: ClassVar[float] = 0.0
     """How far beyond the workspace a position may be [m]."""
 
@@ -329,20 +331,6 @@ class BlockReachVector(VectorEnv[dict[str, Any], Array, NDArray[Any]]):
         if count("index", index, low=0) >= self.num_envs:
             raise InvalidInputError(f"index must be at most {self.num_envs - 1}, got {index}")
         self.targets[index] = self.scenes[index].check_target(target)
-
-    def arm_gaps(self, trajectory: ArrayLike, index: int = 0) -> tuple[Array, Array]:
-        """How far the whole arm of robot `index` keeps off obstacles on `trajectory (T, D)` [m].
-
-        Returns:
-            points `(P, D)` [m] of its end effector, 1 cm apart, and the arm's least gap there,
-            `(P,)` [m], below 0 in contact; inf for a robot without an arm or without obstacles.
-        """
-        points = np.asarray(trajectory, dtype=np.float64)
-        return points, np.full(len(points), np.inf)
-
-    def arm_touches(self, position: ArrayLike, index: int = 0) -> list[tuple[str, int]]:
-        """Links of the arm of robot `index`, and the obstacles that they touch at a position."""
-        return []
 
     def _disturbed(self) -> NDArray[Any]:
         """Where a push or a shift is due: half the straight line's length is travelled."""

@@ -1,7 +1,7 @@
 """One interface to one environment or a vector of them."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -13,6 +13,9 @@ from ..errors import InvalidInputError, LegibilityError
 from ..scene import Scene
 from .block_reach import BlockReachVector
 from .guard import safe_actions
+
+if TYPE_CHECKING:
+    from ..robots.arm import Arm
 
 _ADVICE = "make it with gymnasium.make_vec(…, vectorization_mode='vector_entry_point')"
 
@@ -77,6 +80,11 @@ class Fleet:
         """The current scene of each robot."""
         return [scene for part in self._parts for scene in part.scenes]
 
+    @property
+    def arms(self) -> "list[Arm | None]":
+        """What each robot is; None for a point."""
+        return [part.arm for part, _ in self._places]
+
     targets = _gathered("targets", "`(B,)`, index of the intended goal.")
     positions = _gathered("positions", "`(B, D)` [m].")
     joint_angles = _gathered("joint_angles", "`(B, J)` [rad]; J = 0 for a point in 2-D.")
@@ -112,19 +120,6 @@ class Fleet:
                 self.lag, part.barriers, part.planes,
             )  # fmt: skip
         return safe
-
-    def arm_gaps(self, trajectory: Array, row: int) -> tuple[Array, Array]:
-        """How far the arm of robot `row` keeps off obstacles on `trajectory (T, D)` [m].
-
-        See `BlockReachVector.arm_gaps`.
-        """
-        part, index = self._places[row]
-        return part.arm_gaps(trajectory, index)
-
-    def arm_touches(self, position: Array, row: int) -> list[tuple[str, int]]:
-        """See `BlockReachVector.arm_touches`."""
-        part, index = self._places[row]
-        return part.arm_touches(position, index)
 
     def step(
         self, actions: Array, active: NDArray[np.bool_]

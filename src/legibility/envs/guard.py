@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import Array
 from ..obstacles import ABSENT, Solids
 from ..scene import Scene
+
+if TYPE_CHECKING:
+    from ..robots.arm import Nearby
 
 _TOUCH = 1e-10  # [m], by which a step may sink in by rounding
 _CONTACT = 1e-8  # [m]
@@ -157,6 +160,15 @@ class Planes(NamedTuple):
 
     normals: Array
     gaps: Array
+
+    @classmethod
+    def of(cls, nearby: Sequence[Nearby]) -> Planes:
+        """Those between `B` arms and what is near each."""
+        most = max(1, *(len(near.gaps) for near in nearby))
+        normals, gaps = np.zeros((len(nearby), most, 3)), np.full((len(nearby), most), np.inf)
+        for row, near in enumerate(nearby):
+            normals[row, : len(near.gaps)], gaps[row, : len(near.gaps)] = near.normals, near.gaps
+        return cls(normals, gaps)
 
     def limits(self, rows: NDArray[np.intp], coasts: Array) -> tuple[Array, Array]:
         """Displacements that keep robots `rows (N,)` off, as `Barriers.planes` for `coasts`."""

@@ -13,6 +13,7 @@ from ..intent.metrics import dragan_legibility
 from ..modulator import Modulator
 from ..motion.path import Path
 from ..parallel import Each, pool, threads
+from ..robots.arm import Arm
 from ..rollout import Rollout
 from ..scene import Scene
 
@@ -134,13 +135,18 @@ def execute(
     scenes: Sequence[Scene],
     env_seed: int | list[int],
     options: dict[str, Any],
+    arm: Arm | None = None,
     **execution: Any,
 ) -> list[Rollout]:
     """Execute one motion in each of `scenes`, together.
 
-    `env_seed` and `options` are of the reset, `execution` is of `Modulator.execute_many`.
+    `env_seed` and `options` are of the reset, `arm` is of the environment, if it is not its own,
+    `execution` is of `Modulator.execute_many`.
     """
-    env = kind(len(scenes), max_goals=max(6, *(scene.num_goals for scene in scenes)))
+    settings: dict[str, Any] = {"max_goals": max(6, *(scene.num_goals for scene in scenes))}
+    if arm is not None:
+        settings["arm"] = arm
+    env = kind(len(scenes), **settings)
     env.reset(seed=env_seed, options={"scene": list(scenes), **options})
     rollouts = modulator.execute_many(env, **execution)
     env.close()

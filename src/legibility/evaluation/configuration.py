@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
-from ..checks import bounded, count, random_seed
+from ..checks import bounded, count, positive, random_seed
 from ..data.configuration import REGIMES, SceneStream
 from ..errors import InvalidInputError
+from ..models.configuration import BACKENDS
 
 EVALUATED = tuple(regime for regime in REGIMES if regime != "training")
 """The regimes of held-out scenes."""
@@ -205,6 +206,31 @@ class TimingConfig(HeldOutScenes):
 
 
 @dataclass(frozen=True)
+class ControllerConfig(HeldOutScenes):
+    """Settings of the evaluation.
+
+    Attributes:
+        dt: duration of a step [s]; that of the model's environment if not given.
+        budget: time [s] that a step may spend on planning.
+        backend: what runs the networks, torch or onnx.
+    """
+
+    scenes: int = 200
+    dt: float | None = None
+    budget: float = 0.003
+    backend: str = "torch"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_regime(("dragan", "obstacles"))
+        if self.dt is not None:
+            positive("dt", self.dt)
+        bounded("budget", self.budget, 0)
+        if self.backend not in BACKENDS:
+            raise InvalidInputError(f"backend must be one of {BACKENDS}, got {self.backend!r}")
+
+
+@dataclass(frozen=True)
 class ExecutionConfig(HeldOutScenes):
     """Settings of the evaluation.
 
@@ -213,11 +239,13 @@ class ExecutionConfig(HeldOutScenes):
         disturbance: of a push or a shift of the target [m]; twice the largest displacement of a
             step if not given.
         env: environment, 2d, panda or pandagym; that of the dimension if not given.
+        arm: that moves in MuJoCo, a .yaml or .json file; the Panda if not given.
     """
 
     rollouts: int = 5000
     disturbance: float | None = None
     env: str | None = None
+    arm: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -229,6 +257,8 @@ class ExecutionConfig(HeldOutScenes):
             )
         if self.disturbance is not None:
             bounded("disturbance", self.disturbance, 0)
+        if self.arm is not None and self.env not in (None, "panda"):
+            raise InvalidInputError(f"arm {self.arm} moves in MuJoCo, env panda, not {self.env}")
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,11 @@ from ..motion.archive import Archive
 from ..motion.path import Path
 from ..motion.tracking import NOMINAL_GAIN
 from ..parallel import pool, threads
+from ..robots.arm import Arm
 from ..rollout import Rollout
 from ..scene import Scene
 from ..seeds import plan_seeds, stream_seed
-from ..whole_arm import arm_can_pass
+from ..whole_arm import arm_can_pass, checked_arm
 from .common import Progress, counter, execute, gather, silent, world
 from .configuration import ExecutionConfig
 from .statistics import bootstrap_interval, rank_correlation, share_interval, summary
@@ -99,6 +100,7 @@ def evaluate_execution(
         raise InvalidInputError(f"the model {modulator.name} has no stage 2 to evaluate")
     source = config.stream(modulator.config.dim)
     kind = vector_type(config.env, modulator.config.dim)
+    arm = checked_arm(config.arm, modulator.config.dim)
     limit = policy.config.limit
     disturbance = _DISTURBANCE * limit if config.disturbance is None else config.disturbance
     at_once = min(kind.at_once, config.rollouts)
@@ -108,7 +110,7 @@ def evaluate_execution(
     advance = counter(progress, config.scenes + len(ROWS) * config.rollouts)
     rows: dict[str, dict[str, Any]] = {}
     with pool(workers, cluster) as work:
-        scores_of = partial(_scores_of, source, modulator.config.observer, kind)
+        scores_of = partial(_scores_of, source, modulator.config.observer, arm or kind.arm)
         archives, tried = list[Archive](), 0
         while len(archives) < config.scenes:
             more = range(tried, tried + config.scenes - len(archives))
@@ -127,7 +129,7 @@ def evaluate_execution(
             seeds = plan_seeds(config.seed, first, 2, "demonstration")
             tasks.append((next(iter(ROWS)), scenes[part], levels[part], seeds, None))
         watching = archives[0].observer  # one for all scenes of these regimes
-        run = partial(_rollouts, modulator, policy, kind, watching, disturbance)
+        run = partial(_rollouts, modulator, policy, kind, arm, watching, disturbance)
         parts: list[list[Rollout]] = []
         for name, row in ROWS.items():
             tasks = [(name, *task[1:]) for task in tasks]
@@ -141,19 +143,18 @@ def evaluate_execution(
                 for metric in ("spearman", "error", "within_5_cm"):
                     del rows[name][metric]
     impassable = tried - config.scenes
-    return {
-        "rows": rows, "env": world(kind), "disturbance": disturbance, "impassable": impassable,
-    }  # fmt: skip
+    name = world(kind) if arm is None else f"{world(kind)} with {arm.name}"
+    return {"rows": rows, "env": name, "disturbance": disturbance, "impassable": impassable}
 
 
 def _scores_of(
-    source: SceneStream, observer: Observer, kind: type[BlockReachVector], index: int
+    source: SceneStream, observer: Observer, arm: Arm | None, index: int
 ) -> Archive | None:
     """A scene's archive without its curves, which are large; labels are read off the scores.
 
     None if the robot cannot pass the scene.
     """
-    if not arm_can_pass(kind, source.scene(index), observer):
+    if not arm_can_pass(arm, source.scene(index), observer):
         return None
     archive = source.archive(index, observer)
     return replace(archive, controls=np.empty(0))
@@ -164,6 +165,7 @@ def _rollouts(
     modulator: Modulator,
     policy: PathPolicy,
     kind: type[BlockReachVector],
+    arm: Arm | None,
     observer: Observer,
     disturbance: float,
     task: _Task,
@@ -172,7 +174,7 @@ def _rollouts(
     row = ROWS[name]
     options = {row.disturbance: disturbance} if row.disturbance else {}
     return execute(
-        modulator, kind, scenes, env_seed, options, legibility=levels, seed=plan_seed,
+        modulator, kind, scenes, env_seed, options, arm, legibility=levels, seed=plan_seed,
         paths=paths, driver=row.driver(policy), replan=row.replan, observer=observer,
     )  # fmt: skip
 

@@ -64,6 +64,10 @@ class _NetworkConfig:
         return cls(**values)
 
 
+BACKENDS = ("torch", "onnx")
+"""What may run the networks."""
+
+
 @dataclass(frozen=True)
 class PathDiffuserConfig(_NetworkConfig):
     """The shape of stage 1 and the meaning of its labels.

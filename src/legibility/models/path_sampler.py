@@ -20,6 +20,7 @@ from ..motion.archive import Archive, scene_archive, shortest_curve
 from ..motion.bezier import bezier_trajectories
 from ..motion.path import least_margin
 from ..motion.rough_archive import rough_archive
+from ..parts import Parts, finished
 from ..scene import TOUCH, Scene
 from .configuration import PathDiffuserConfig, at_most
 from .diffusion import standard_normal
@@ -122,13 +123,15 @@ class PathSampler:
         exact: bool,
         refine: bool,
         candidates: int = 1,
+        max_detour: float | None = None,
     ) -> tuple[Array, np.ndarray]:
         """A path for each task, out of contact and with the score that its ℓ asks for.
 
         That is the score by the scene's archive, a rough one unless `exact`. Where the path drawn
         misses it, waves or is too long, curves of the archive compete with it. Of several
         `candidates` for a level, which follow each other, the others keep the score that they drew.
-        So do all paths of a model without the field.
+        So do all paths of a model without the field. None is longer than `max_detour` times the
+        shortest motion, where that is given.
 
         Returns:
             `(B, K + 2, D)` [m], and whether a curve of the archive stands in for the path drawn,
@@ -137,6 +140,8 @@ class PathSampler:
         if exact and not refine:
             raise InvalidInputError("exact plans are refined: leave refine as it is")
         paths, replaced = self.draw(tasks, seed, sampling), np.zeros(len(tasks), dtype=bool)
+        if max_detour is not None and not refine:
+            raise InvalidInputError("paths of a max_detour are refined: leave refine as it is")
         if not refine:
             return paths, replaced
         archive_of = scene_archive if exact else rough_archive
@@ -146,12 +151,12 @@ class PathSampler:
             if first.any():
                 archive = archive_of(scene, target, observer)
                 drawn[first], replaced[row][first] = _met(
-                    archive, drawn[first], tasks.levels[row][first]
+                    archive, drawn[first], tasks.levels[row][first], detour_of(observer, max_detour)
                 )
             if not first.all():
                 own = observer.score(path_curve(paths[row][~first], SCORE_POINTS), scene, target)
-                shortest = shortest_curve(scene, target)[1]
-                drawn[~first] = project(drawn[~first], scene, target, observer, own, shortest)[0]
+                longest = detour_of(observer, max_detour) * shortest_curve(scene, target)[1]
+                drawn[~first] = project(drawn[~first], scene, target, observer, own, longest)[0]
             paths[row] = drawn
         if candidates > 1:  # one that is too long counts as the first of its level
             (scene,), (target,), (observer,) = tasks[:3]
@@ -166,11 +171,34 @@ class PathSampler:
                 one = tasks.of(np.array([i]))
                 archive = fallback(one.scenes[0], one.targets[0], one.observers[0])
                 paths[i] = nearest_path(archive, float(one.levels[0]))
+        if max_detour is not None:
+            self._shorten(tasks, paths, replaced, max_detour, archive_of)
         return paths, replaced
 
-    @torch.inference_mode()
+    def _shorten(
+        self,
+        tasks: Tasks,
+        paths: Array,
+        replaced: NDArray[np.bool],
+        max_detour: float,
+        archive_of: Callable[[Scene, int, Observer], Archive],
+    ) -> None:
+        """Replace the paths that are longer than `max_detour` times the shortest motion."""
+        for row, scene, target, observer in tasks.rows():
+            longest = max_detour * shortest_curve(scene, target)[1]
+            long = arc_length(path_curve(paths[row], SCORE_POINTS)) > longest
+            for i in np.arange(len(tasks))[row][long]:
+                archive = archive_of(scene, target, observer)
+                paths[i] = nearest_path(archive, float(tasks.levels[i]), longest)
+                replaced[i] = True
+
     def draw(self, tasks: Tasks, seed: int, sampling: Sampling) -> Array:
         """A path for each task, `(B, K + 2, D)` [m], whose ends are start and goal exactly."""
+        return finished(self.drawn(tasks, seed, sampling))
+
+    @torch.inference_mode()
+    def drawn(self, tasks: Tasks, seed: int, sampling: Sampling) -> Parts[Array]:
+        """`draw` in parts."""
         size, dim = len(tasks), self.config.dim
         generator = torch.Generator("cpu").manual_seed(seed)
         noise = standard_normal(size, NUM_WAYPOINTS, dim, generator=generator)
@@ -180,6 +208,7 @@ class PathSampler:
         if self.config.field:
             scores = [rough_archive(*row).score_of(DIAL_LEVELS) for _, *row in tasks.rows()]
             dial = torch.from_numpy(dial_of(np.stack(scores)))
+        yield
         drawn = self.sample(conditions, level, noise, dial=dial, **sampling._asdict())
         waypoints = drawn.double().numpy()
         if not np.isfinite(waypoints).all():
@@ -191,15 +220,26 @@ class PathSampler:
         return paths
 
 
-def _met(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[np.bool]]:
+def detour_of(observer: Observer, max_detour: float | None) -> float:
+    """The longest motion over the shortest: the observer's, or less if less is asked for.
+
+    Projection keeps a length to 1 % only, so it aims as much below a limit that is asked for.
+    """
+    if max_detour is None:
+        return observer.detour
+    return min(observer.detour, (1 - _EXCESS) * max_detour)
+
+
+def _met(
+    archive: Archive, paths: Array, levels: Array, detour: float
+) -> tuple[Array, NDArray[np.bool]]:
     """Paths `(B, K + 2, D)` brought to `levels (B,)`, and whether an elite stands in, `(B,)`.
 
     It does so where the path drawn misses its level, waves or is too long, and an elite near the
     level, as it is or brought there, is less at fault.
     """
     scene, target, observer = archive.scene, archive.target, archive.observer
-    shortest = archive.shortest_length
-    longest = observer.detour * shortest
+    longest = detour * archive.shortest_length
 
     def fault(paths: Array, levels: Array, turned: Array) -> Array:
         curves = path_curve(paths, SCORE_POINTS)
@@ -212,7 +252,7 @@ def _met(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[
 
     def brought(paths: Array, levels: Array, turned: Array) -> tuple[Array, Array]:
         wanted = archive.score_of(levels)
-        paths, clear = project(paths, scene, target, observer, wanted, shortest)
+        paths, clear = project(paths, scene, target, observer, wanted, longest)
         clear[~clear] = free(paths[~clear])
         return paths, np.where(clear, fault(paths, levels, turned), np.inf)
 
@@ -235,15 +275,17 @@ def _met(archive: Archive, paths: Array, levels: Array) -> tuple[Array, NDArray[
     return paths, replaced
 
 
-def nearest_path(archive: Archive, level: float) -> Array:
+def nearest_path(archive: Archive, level: float, longest: float = np.inf) -> Array:
     """The feasible path `(K + 2, D)` [m] of an elite, nearest to a level among the first found.
 
-    If no elite's is feasible, what projection makes of the motion at ℓ = 0.
+    None longer than `longest` [m] counts. If no elite's is feasible, what projection makes of the
+    motion at ℓ = 0.
     """
     scene, target, observer = archive.scene, archive.target, archive.observer
     order = np.argsort(np.abs(archive.labels - level), kind="stable")
     for few in np.array_split(order, max(1, len(order) // 64)):
         paths = bezier_trajectories(archive.controls[few], NUM_WAYPOINTS + 2)
+        paths = paths[arc_length(path_curve(paths, SCORE_POINTS)) <= longest * (1 + 1e-9)]
         paths = paths[least_margin(scene, target, paths) >= -TOUCH * scene.diagonal]
         if len(paths):
             scores = observer.score(path_curve(paths, SCORE_POINTS), scene, target)

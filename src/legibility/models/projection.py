@@ -1,36 +1,57 @@
 """Projection: moves paths out of contact and keeps, or meets, their legibility score.
 
+A path may be the rest of a motion under way: then the score is that of the whole motion, and the
+path starts in the direction of motion.
+
 A path's curve is a spline, linear in its K inner waypoints. So one step of Gauss–Newton on them is
 a small linear system, solved for many paths at a time. It weighs contact along the curve, the error
-of the score, excess length, jerk, and the change of the second differences, which keeps the shape.
+of the score, excess length, jerk, the turn at the start, and the change of the second differences,
+which keeps the shape.
 """
 
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ..checks import Array
-from ..curves import NUM_WAYPOINTS, spline_matrix
+from ..curves import NUM_WAYPOINTS, arc_length, resample, spline_matrix
 from ..intent.field import Field
 from ..intent.observer import Observer
+from ..parts import Parts, finished
 from ..scene import Scene
 from .room import CURVE_POINTS, PAD, SLACK, Room
 
 _PARTS = 32  # of a step between two points of a curve, where it is near to something
-_CONTACT, _LENGTH = 10.0, 1000.0  # weights of squares
+_CONTACT, _LENGTH, _TURN = 10.0, 1000.0, 1000.0  # weights of squares
 _STIFF, _SUPPLE = (300.0, 60.0), (30.0, 3.0)  # those of score and jerk
 _MISSED = 0.02  # error of log(−score) of a stiff path above which a supple one is tried
 _GROWTH = 1.7  # of the weight of contact from step to step
-_STEPS = 10
+_STEPS, _AT_ONCE = 10, 4  # at most, and in a part
 _LONGEST_STEP, _LARGEST_ERROR = 0.15, 0.5
 _TOLERANCE = 1e-3  # of log(−score)
 _LEAST_COST = 1e-12
+_STRAIGHT = 0.03  # turn [rad] at the start that is not worth another step
 _TOUCHING = 1e6  # merit of a path in contact
 _TINY = 1e-30
 _SMOOTHING = 0.3  # λ of `smoothed`
+
+
+class Begun(NamedTuple):
+    """A motion under way.
+
+    Attributes:
+        scene: in which the observer sees it: with the start of the motion.
+        states: `(T, D)` [m], the positions so far; the last is the present one.
+        heading: `(D,)`, direction of motion of length 1, or 0 at rest.
+    """
+
+    scene: Scene
+    states: Array
+    heading: Array
 
 
 def smoothed(paths: Array) -> Array:
@@ -60,7 +81,8 @@ def project(
     target: int,
     observer: Observer,
     wanted: Array | None = None,
-    shortest: float | None = None,
+    longest: float | None = None,
+    begun: Begun | None = None,
 ) -> tuple[Array, np.ndarray]:
     """Paths moved out of contact that have the score wanted, and whether each is out of it.
 
@@ -73,24 +95,44 @@ def project(
         target: index of the intended goal.
         observer: whose score it is.
         wanted: `(B,)`, the score that each path should have; its own if not given.
-        shortest: length [m] of the shortest feasible motion, which the detour refers to; the
-            length is free if it is not given.
+        longest: length [m] that is allowed; the length is free if it is not given.
+        begun: the motion that the paths go on with; their scene starts at its last position. Score
+            and length are those of the whole.
 
     Returns:
         `(B, K + 2, D)` [m], and whether each keeps clear by that much, `(B,)` bool.
     """
+    return finished(projected(paths, scene, target, observer, wanted, longest, begun))
+
+
+def projected(
+    paths: Array,
+    scene: Scene,
+    target: int,
+    observer: Observer,
+    wanted: Array | None = None,
+    longest: float | None = None,
+    begun: Begun | None = None,
+) -> Parts[tuple[Array, np.ndarray]]:
+    """`project` in parts."""
     room = Room.of(scene, target, observer)
-    task = _Task(room, (paths - scene.start) / room.scale, wanted, observer, shortest)
+    if begun is not None:
+        seen = observer.field(begun.scene).seen_from(scene.start, room.scale)
+        room = replace(room, field=seen)
+    drawn = (paths - scene.start) / room.scale
+    task = _Task(room, drawn, wanted, observer, longest, begun)
     rows = np.arange(len(paths))
-    best, merit = _descend(task, task.drawn, rows, task.first)
+    best, merit = yield from _descend(task, task.drawn, rows, task.first)
     rows = np.flatnonzero(merit > _MISSED)
     if len(rows):
-        more, merits = _descend(task, task.drawn[rows], rows, weights=_SUPPLE)
+        yield
+        more, merits = yield from _descend(task, task.drawn[rows], rows, weights=_SUPPLE)
         better = merits < merit[rows]
         best[rows[better]], merit[rows[better]] = more[better], merits[better]
     rows = np.flatnonzero(merit >= _TOUCHING)
     if len(rows):
-        more, merits = _descend(task, best[rows], rows, weights=(0.0, _SUPPLE[1]))
+        yield
+        more, merits = yield from _descend(task, best[rows], rows, weights=(0.0, _SUPPLE[1]))
         better = merits < merit[rows]
         best[rows[better]], merit[rows[better]] = more[better], merits[better]
     moved = (best != task.drawn).any((-2, -1))
@@ -102,11 +144,11 @@ def project(
 def cost_and_slopes(
     points: Array, field: Field, target: int, alpha: float
 ) -> tuple[Array, Array, Array, Array]:
-    """`−L_p` (paper, eq. 4) and length of paths by their curves `(B, T, D)`, `(B,)` each.
+    """`−L_p` (paper, eq. 4) and length of motions `(B, P + T, D)` that end in curves, `(B,)` each.
 
-    And the gradient `(B, K, D)` of the first in the waypoints, and the tangents `(B, T − 1, D)`,
-    the gradient of the length in the steps. As `legibility_score`, which resamples the curve, to
-    0.001.
+    And the gradient `(B, K, D)` of the first in the waypoints of the curves, the last T points, and
+    the tangents `(B, T − 1, D)`, the gradient of the length in their steps. As `legibility_score`,
+    which resamples the motion, to 0.001.
     """
     potential, slope = field.potential_and_gradient(points, target)
     steps = points[:, 1:] - points[:, :-1]
@@ -132,10 +174,11 @@ def cost_and_slopes(
     after = np.cumsum(shift[:, :0:-1], axis=1)[:, ::-1]
     after -= np.einsum("bt,bt->b", shift, progress)[:, None]
     after /= length[:, None]
-    tangents = steps / lengths[..., None]
+    first = points.shape[1] - CURVE_POINTS
+    tangents = steps[:, first:] / lengths[:, first:, None]
     matrices = _matrices(points.shape[-1], 0.0)
-    slope = matrices.spline.T @ (weights[..., None] * slope)
-    slope += matrices.change.T @ (after[..., None] * tangents)
+    slope = matrices.spline.T @ (weights[..., None] * slope)[:, first:]
+    slope += matrices.change.T @ (after[:, first:, None] * tangents)
     return np.maximum(cost, _LEAST_COST), length, slope, tangents
 
 
@@ -169,6 +212,8 @@ class _Task:
         cost: `(B,)`, log(−score) wanted.
         longest: `(B,)`, log of the length allowed.
         pull: `(B, K, D)`, what draws the waypoints to the shape drawn.
+        before: `(P, D)`, points of the motion so far.
+        heading: `(D,)`, direction in which they start; 0 if any will do.
         first: their curves.
     """
 
@@ -178,17 +223,25 @@ class _Task:
         drawn: Array,
         wanted: Array | None,
         observer: Observer,
-        shortest: float | None,
+        longest: float | None,
+        begun: Begun | None,
     ) -> None:
         self.room, self.drawn, self.alpha = room, drawn, observer.alpha
+        self.before, self.heading = np.empty((0, drawn.shape[-1])), np.zeros(drawn.shape[-1])
+        if begun is not None:
+            self.heading = begun.heading
+            states = (begun.states - begun.states[-1]) / room.scale
+            if arc_length(states) > _TINY:
+                self.before = resample(states, CURVE_POINTS)[:-1]
         self.pull = _matrices(drawn.shape[-1], 0.0).shape @ drawn
         self.cost = self.longest = np.zeros(len(drawn))
         first = self.curves(drawn, np.arange(len(drawn)))
         self.cost = first.error
         if wanted is not None:
             self.cost = np.log(np.maximum(-wanted, _LEAST_COST))
-        longest = np.inf if shortest is None else observer.detour * shortest / room.scale
-        self.longest = np.full(len(drawn), np.log(longest))
+        self.longest = np.full(len(drawn), np.inf)
+        if longest is not None:
+            self.longest[:] = np.log(longest / room.scale)
         self.first = first._replace(
             error=first.error - self.cost, excess=first.excess - self.longest
         )
@@ -197,8 +250,11 @@ class _Task:
         """The curves of `paths (B, K + 2, D)`, of which each is of one of the `rows (B,)`."""
         room, size = self.room, NUM_WAYPOINTS * paths.shape[-1]
         matrices = _matrices(paths.shape[-1], 0.0)
-        points = matrices.curve @ paths
-        cost, length, slope, tangents = cost_and_slopes(points, room.field, room.target, self.alpha)
+        points = motion = matrices.curve @ paths
+        if len(self.before):
+            before = np.broadcast_to(self.before, (len(paths), *self.before.shape))
+            motion = np.concatenate([before, points], axis=1)
+        cost, length, slope, tangents = cost_and_slopes(motion, room.field, room.target, self.alpha)
         # Near enough for contact between two points, or for the pad.
         reach = max(PAD, 2 * length.max() / CURVE_POINTS)
         gap, normal = room.nearest(points.reshape(-1, points.shape[-1]), reach)
@@ -226,6 +282,8 @@ class _Task:
         clear = np.minimum(curves.gap + room.pad, room.to_walls(curves.points))
         worst = (clear - room.slack).min(-1)
         merit = np.abs(curves.error) + 10 * np.maximum(curves.excess, 0)
+        if self.heading.any():
+            merit += np.maximum(start_turns(paths, self.heading) - _STRAIGHT, 0)
         check = (worst >= 0) & (merit < below)
         if check.any():
             # Between two points, where they are so near to something that the curve could touch it.
@@ -261,6 +319,12 @@ class _Task:
             weight = _LENGTH * (excess > 0)[:, None]
             system += weight[..., None] * stretch[:, :, None] * stretch[:, None, :]
             force -= weight * excess[:, None] * stretch
+        if self.heading.any():
+            aside = np.eye(dim) - np.outer(self.heading, self.heading)
+            outward = _TURN * matrices.start[1:-1]
+            system += np.kron(np.outer(outward, matrices.start[1:-1]), aside)
+            sideways = (matrices.start @ paths) @ aside
+            force -= (outward[:, None] * sideways[:, None]).reshape(-1, size)
         # A matrix and a vector at each point, of the solids and of the walls.
         active = normal * (gap < 0)[..., None]
         metric = active[..., :, None] * active[..., None, :]
@@ -278,14 +342,36 @@ class _Task:
         return paths
 
 
-@np.errstate(under="ignore")
+def start_turns(paths: Array, heading: Array) -> Array:
+    """Angles `(B,)` [rad] between a direction `(D,)` and that in which `paths` set out."""
+    tangents = _matrices(paths.shape[-1], 0.0).start @ paths
+    along = tangents @ heading
+    aside = np.linalg.norm(tangents - along[:, None] * heading, axis=-1)
+    return np.arctan2(aside, along)
+
+
+def headed(paths: Array, heading: Array) -> Array:
+    """Paths `(B, K + 2, D)` bent so that they set out in a direction `(D,)` of length 1.
+
+    Their ends stay; so do all of them if the direction is 0.
+    """
+    if not heading.any():
+        return paths
+    start = _matrices(paths.shape[-1], 0.0).start
+    places = np.linspace(0, 1, NUM_WAYPOINTS + 2)
+    bend = places * (1 - places) ** 3
+    tangents = start @ paths
+    speeds = np.linalg.norm(tangents, axis=-1, keepdims=True)
+    return paths + bend[:, None] / (start @ bend) * (speeds * heading - tangents)[:, None]
+
+
 def _descend(
     task: _Task,
     paths: Array,
     rows: np.ndarray,
     curves: _Curves | None = None,
     weights: tuple[float, float] = _STIFF,
-) -> tuple[Array, Array]:
+) -> Parts[tuple[Array, Array]]:
     """The best paths on the way from `paths (B, K + 2, D)`, and their merits `(B,)`.
 
     Args:
@@ -298,6 +384,8 @@ def _descend(
     best, merit = paths.copy(), np.full(len(paths), np.inf)
     left, before = np.arange(len(paths)), np.full(len(paths), np.inf)
     for i in range(_STEPS + 1):
+        if i and i % _AT_ONCE == 0:
+            yield
         if i or curves is None:
             curves = task.curves(paths, rows)
         found = task.merit(paths, curves, merit[left])
@@ -326,6 +414,7 @@ class _Matrices(NamedTuple):
         spline: `(T, K)`, of the waypoints' part of the points.
         change: `(T − 1, K)`, of the steps between points.
         outer: `(T, K K)`, outer products of the spline's rows.
+        start: `(K + 2,)`, the derivative at the start, between two waypoints 1.
         shape: `(K, K + 2)`, gradient of half the squared second differences.
         smooth: `(K, K + 2)`, the same with that of the third ones.
         stiffness: `(K D, K D)`, of both.
@@ -336,6 +425,7 @@ class _Matrices(NamedTuple):
     spline: Array
     change: Array
     outer: Array
+    start: Array
     shape: Array
     smooth: Array
     stiffness: Array
@@ -349,10 +439,13 @@ def _matrices(dim: int, jerk: float) -> _Matrices:
     between = fine[:-1].reshape(CURVE_POINTS - 1, _PARTS, -1)[:, 1:]
     spline = np.ascontiguousarray(curve[:, 1:-1])
     outer = (spline[:, :, None] * spline[:, None, :]).reshape(CURVE_POINTS, -1)
+    # The spline is one cubic up to its third knot; this difference of a cubic is exact.
+    parts = _PARTS * (CURVE_POINTS - 1) / (NUM_WAYPOINTS + 1)  # of the fine one between two knots
+    start = np.array([-11, 18, -9, 2]) / 6 @ fine[:4] * parts
     second, third = (np.diff(np.eye(NUM_WAYPOINTS + 2), n=n, axis=0) for n in (2, 3))
     shape = (second.T @ second)[1:-1]
     smooth = shape + jerk * (third.T @ third)[1:-1]
     stiffness = np.kron(smooth[:, 1:-1], np.eye(dim)).astype(np.float64)
     return _Matrices(
-        curve, between, spline, np.diff(spline, axis=0), outer, shape, smooth, stiffness
+        curve, between, spline, np.diff(spline, axis=0), outer, start, shape, smooth, stiffness
     )

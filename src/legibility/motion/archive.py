@@ -24,6 +24,7 @@ from ..intent.field import Field
 from ..intent.labels import label_knots
 from ..intent.metrics import SCORE_POINTS
 from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..parts import Parts, cached_parts, finished
 from ..scene import Scene
 from .bezier import bezier_points, bezier_trajectories, crosses_itself, straight_controls
 from .curve_grid import (
@@ -39,6 +40,7 @@ from .curve_grid import (
 from .library import curve_library
 
 _BATCH = 1024
+_RANDOM, _MOST, _PATIENCE = 4096, 65_536, 0.002  # defaults of `build_archive`
 _FINE = 4 * SCORE_POINTS  # points on which a length is measured
 _SHORTEST, _CHILDREN = 8, 128  # curves kept in the search for the shortest, and their variations
 _SPREAD = 0.2  # of the first of these, in lengths of the straight line
@@ -192,9 +194,9 @@ def build_archive(
     observer: Observer = DEFAULT_OBSERVER,
     seed: int | np.random.SeedSequence | None = 0,
     cells: int | None = None,
-    random_candidates: int = 4096,
-    max_candidates: int = 65_536,
-    patience: float = 0.002,
+    random_candidates: int = _RANDOM,
+    max_candidates: int = _MOST,
+    patience: float = _PATIENCE,
 ) -> Archive:
     """Cover all ways from the start to goal `target` with smooth curves, score and label them.
 
@@ -224,9 +226,24 @@ def build_archive(
     positive("patience", patience)
     if not isinstance(seed, np.random.SeedSequence):
         seed = seed_or_entropy("seed", seed)
+    return finished(
+        _built(scene, target, observer, seed, cells, random_candidates, max_candidates, patience)
+    )
 
+
+def _built(
+    scene: Scene,
+    target: int,
+    observer: Observer,
+    seed: int | np.random.SeedSequence,
+    cells: int,
+    random_candidates: int = _RANDOM,
+    max_candidates: int = _MOST,
+    patience: float = _PATIENCE,
+) -> Parts[Archive]:
+    """See `build_archive`."""
     rng = np.random.default_rng(seed)
-    anchor, shortest, reach = shortest_curve(scene, target)
+    anchor, shortest, reach = yield from shortest_curve.parts(scene, target)
     grid = CurveGrid(scene, target, observer.detour * shortest, cells, reach)
     grid.add(anchor[None])
     tried, idle = 1, 0
@@ -237,6 +254,7 @@ def build_archive(
         new = grid.add(with_ends(draw(rng, grid, size), anchor))
         tried += size
         idle = 0 if exploring or new >= patience * len(grid.filled) else idle + 1
+        yield
 
     filled = grid.filled
     controls = grid.controls[filled]
@@ -276,8 +294,8 @@ def _scored(
     return scores, float(anchor_score)
 
 
-@functools.lru_cache(maxsize=64)
-def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
+@cached_parts(maxsize=64)
+def shortest_curve(scene: Scene, target: int) -> Parts[tuple[Array, float, float]]:
     """The straight line `(4, D)`, or the shortest feasible curve where it is blocked.
 
     Variations of the shortest of the library, or of random curves in a region that grows until some
@@ -314,6 +332,7 @@ def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
     library = curve_library(scene.dim, DEFAULT_OBSERVER.detour)
     for rows in np.array_split(library.by_length, len(library) // 256):
         keep_shortest(library.between(frame, straight, rows))
+        yield
         if len(best) == _SHORTEST:
             break
     growth = 1.0
@@ -322,6 +341,7 @@ def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
         bounds = draw_bounds(scene, target, 2.5 * growth * frame.scale, reach)
         for _ in range(4):
             keep_shortest(with_ends(rng.uniform(*bounds, (_BATCH, 2, scene.dim)), straight))
+            yield
         growth *= 2
     if not len(best):
         raise InvalidSceneError(
@@ -333,6 +353,7 @@ def shortest_curve(scene: Scene, target: int) -> tuple[Array, float, float]:
         parents = best[rng.integers(0, len(best), _CHILDREN)][:, 1:3]
         noise = rng.normal(0, _SPREAD * frame.scale * 0.75**generation, parents.shape)
         keep_shortest(with_ends(parents + noise, straight))
+        yield
     anchor = best[0]
     anchor.setflags(write=False)
     return anchor, float(lengths[0]), reach
@@ -347,9 +368,10 @@ def passable(scene: Scene, target: int) -> bool:
     return True
 
 
-@functools.lru_cache(maxsize=32)
-def _geometry(scene: Scene, target: int, detour: float) -> Archive:
-    return build_archive(scene, target, observer=replace(DEFAULT_OBSERVER, detour=detour))
+@cached_parts(maxsize=32)
+def _geometry(scene: Scene, target: int, detour: float) -> Parts[Archive]:
+    watching = replace(DEFAULT_OBSERVER, detour=detour)
+    return (yield from _built(scene, target, watching, 0, DEFAULT_CELLS[scene.dim]))
 
 
 def forget_archives() -> None:
@@ -358,7 +380,8 @@ def forget_archives() -> None:
         cached.cache_clear()
 
 
-@functools.lru_cache(maxsize=64)
-def scene_archive(scene: Scene, target: int, observer: Observer) -> Archive:
+@cached_parts(maxsize=64)
+def scene_archive(scene: Scene, target: int, observer: Observer) -> Parts[Archive]:
     """The archive of a scene, cached; observers of one detour share its curves."""
-    return _geometry(scene, target, observer.detour).seen_by(observer)
+    archive = yield from _geometry.parts(scene, target, observer.detour)
+    return archive.seen_by(observer)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -57,6 +58,15 @@ class Path:
         """A path through `waypoints (B?, K + 2, D)` [m]."""
         replaced = np.zeros(waypoints.shape[:-2], dtype=bool)
         return cls(scene, target, legibility, waypoints, observer, replaced)
+
+    @classmethod
+    def of(cls, paths: Sequence[Path]) -> Path:
+        """Paths of one level each, in one scene to one target, as one of `B` levels."""
+        waypoints, levels, replaced = (
+            np.array([getattr(path, name) for path in paths])
+            for name in ("waypoints", "legibility", "replaced")
+        )
+        return replace(paths[0], waypoints=waypoints, legibility=levels, replaced=replaced)
 
     @property
     def field(self) -> Field:

@@ -6,7 +6,6 @@ What is missed are curves that only a long one finds, such as those through a na
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from ..curves import arc_length
 from ..frame import Frame
 from ..intent.metrics import SCORE_POINTS, score_weights
 from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..parts import Parts, cached_parts
 from ..scene import Scene
 from .archive import Archive, shortest_curve
 from .bezier import bending_energy, bezier_trajectories, crosses_itself
@@ -25,19 +25,22 @@ _POINTS = 24  # of a curve, at equal arc length, for lengths and scores
 _FEW = 0.5  # share of the library's cells below which a search goes on
 _BATCH, _BATCHES, _RANDOM = 1024, 6, 2  # of curves in it, the first of which are random
 _LEAST_COST = 1e-300
+_AT_ONCE = 512  # curves in a part
 
 
-@functools.lru_cache(maxsize=1024)
-@np.errstate(under="ignore")
-def rough_archive(scene: Scene, target: int, observer: Observer) -> Archive:
+@cached_parts(maxsize=1024)
+def rough_archive(scene: Scene, target: int, observer: Observer) -> Parts[Archive]:
     """The archive of a scene by the curves of its library, with little search or none; cached.
 
     Raises:
         InvalidSceneError: no curve to the target was found.
     """
-    archive = _geometry(scene, target, observer.detour)
-    curves = bezier_trajectories(archive.controls, _POINTS)
-    potential = observer.field(scene).potential(curves, target)
+    archive = yield from _geometry.parts(scene, target, observer.detour)
+    curves, field = bezier_trajectories(archive.controls, _POINTS), observer.field(scene)
+    potential = np.empty(curves.shape[:-1])
+    for few in np.array_split(np.arange(len(curves)), -(-len(curves) // _AT_ONCE)):
+        potential[few] = field.potential(curves[few], target)
+        yield
     scores = -potential @ score_weights(_POINTS, observer.alpha)
     # The last is the motion at ℓ = 0, whose score is that of an archive; the others follow.
     anchor = bezier_trajectories(archive.anchor[None], SCORE_POINTS)
@@ -56,11 +59,11 @@ def forget_rough_archives() -> None:
         cached.cache_clear()
 
 
-@functools.lru_cache(maxsize=256)
-def _geometry(scene: Scene, target: int, detour: float) -> Archive:
+@cached_parts(maxsize=256)
+def _geometry(scene: Scene, target: int, detour: float) -> Parts[Archive]:
     """The curves of a scene, the motion at ℓ = 0 last, without scores and labels."""
     library = curve_library(scene.dim, detour)
-    anchor, shortest, reach = shortest_curve(scene, target)
+    anchor, shortest, reach = yield from shortest_curve.parts(scene, target)
     frame, longest = Frame.of(scene, target), detour * shortest
     controls = library.controls
     if shortest > frame.scale:
@@ -73,10 +76,14 @@ def _geometry(scene: Scene, target: int, detour: float) -> Archive:
     controls[:, [0, -1]] = anchor[[0, -1]]
     first = np.flatnonzero(np.diff(library.cells, prepend=-1))
     last = np.append(first[1:], len(library))
+    yield
     taken, tried, cells = [np.empty(0, dtype=np.intp)], 1, len(first)
     while len(first):
         tried += len(first)
-        clear = free(scene, target, controls[first])
+        clear = np.empty(len(first), dtype=bool)
+        for few in np.array_split(np.arange(len(first)), -(-len(first) // _AT_ONCE)):
+            clear[few] = free(scene, target, controls[first[few]])
+            yield
         if shortest > frame.scale:
             curves = bezier_trajectories(controls[first], _POINTS)
             clear &= (arc_length(curves) <= longest) & ~crosses_itself(controls[first])
@@ -86,11 +93,18 @@ def _geometry(scene: Scene, target: int, detour: float) -> Archive:
     controls = controls[np.sort(np.concatenate(taken))]
     if len(controls) < _FEW * cells:
         grid = CurveGrid(scene, target, longest, LIBRARY_CELLS[scene.dim], reach)
-        grid.add(np.concatenate([controls, anchor[None]]))
+        found = np.concatenate([controls, anchor[None]])
+        for few in np.array_split(found, -(-len(found) // _AT_ONCE)):
+            grid.add(few)
+            yield
         rng = np.random.default_rng(0)
         for batch in range(_BATCHES):
             draw = random_controls if batch < _RANDOM else varied_controls
-            grid.add(with_ends(draw(rng, grid, _BATCH), anchor))
+            curves = with_ends(draw(rng, grid, _BATCH), anchor)
+            yield
+            for few in np.split(curves, _BATCH // _AT_ONCE):
+                grid.add(few)
+                yield
         tried += _BATCHES * _BATCH
         cells = max(cells, int(grid.reached.sum()))
         controls = grid.controls[grid.filled]

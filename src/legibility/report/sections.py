@@ -3,6 +3,7 @@
 from typing import Any
 
 from ..evaluation.ablations import COLUMNS
+from ..evaluation.controller import ROWS as DISTURBED
 from ..evaluation.execution import ROWS
 from ..evaluation.eyes import EYES
 from ..evaluation.planning import PLACES, planner_text
@@ -90,6 +91,46 @@ def timing_section(document: dict[str, Any]) -> list[Part]:
             f"example: {reasons}."
         )
     return parts
+
+
+def controller_section(document: dict[str, Any]) -> list[Part]:
+    """The controller in a loop, disturbed on the way."""
+    config, result = document["config"], document["result"]
+    table = Table(
+        "on the way", "motions", "success", "error of ℓ", "turn [°]: median / 99 % / greatest",
+        "step [ms]: median / 99 % / greatest", "until the last new path [s]", "turned [rad]",
+        "contacts",
+    )  # fmt: skip
+    for name, row in result["rows"].items():
+        table.add_row(
+            DISTURBED[name].text,
+            str(row["motions"]),
+            percent(row["success"]["mean"]),
+            number(row["error"]["mean"], 4),
+            _three(row["turn"]),
+            _three(row["step"]),
+            number(row["delay"]["median"], 2) if row["delay"] else "–",
+            number(row["turned"]["mean"], 2),
+            str(row["contacts"]),
+        )
+    networks = {"torch": "PyTorch", "onnx": "onnxruntime"}[config["backend"]]
+    return [
+        f"{scenes_of(document)}, ℓ uniform in [−1, 1], a step each {1e3 * result['dt']:g} ms, on "
+        f"one core by {networks}; planning has {1e3 * config['budget']:g} ms of each. A simulated "
+        "robot realises 60 % to 90 % of a displacement, with a lag. Once on its way it is pushed "
+        "by two displacements, its target moves as far, or a ball appears on its path. The turn is "
+        "that between the displacements before and after a new path is taken. The error is that "
+        "of the whole motion, in the scene as it is at the end. A new plan starts from the present "
+        "position with the same ℓ; it blocks the loop, and its time counts as that of a step.",
+        table,
+    ]
+
+
+def _three(values: dict[str, float] | None) -> str:
+    """Median, 99th percentile and the greatest of some values, if there are any."""
+    if values is None:
+        return "–"
+    return " / ".join(number(values[key], 1) for key in ("median", "percentile", "greatest"))
 
 
 def execution_section(document: dict[str, Any]) -> list[Part]:

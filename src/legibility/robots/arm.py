@@ -224,12 +224,16 @@ class Arm:
         """Forward and inverse kinematics, shared in this process."""
         return _kinematics(self)
 
-    def postures(self, points: Array) -> Array:
-        """Angles `(P, J)` [rad] that lead the grasp point through `points (P, 3)` [m], in turn."""
-        kinematics = self.kinematics()
-        angles = [kinematics.solve(points[0])]
-        for point in points[1:]:
-            angles.append(angles[-1] + kinematics.step(angles[-1], point))
+    def postures(self, points: Array, near: Array | None = None) -> Array:
+        """Angles `(P, J)` [rad] that lead the grasp point through `points (P, 3)` [m], in turn.
+
+        They follow from those `near`, of a point just before, or from home.
+        """
+        kinematics, angles = self.kinematics(), list[Array]()
+        for point in points:
+            before = angles[-1] if angles else near
+            found = kinematics.solve(point) if before is None else before
+            angles.append(found if before is None else found + kinematics.step(found, point))
         return np.array(angles)
 
     def nearby(self, obstacles: tuple[Obstacle, ...], angles: Array) -> Iterator[Nearby]:
@@ -275,6 +279,20 @@ class Arm:
                 things = sorted(data.contact.geom[row], key=lambda g: model.geom_bodyid[g] == 0)
                 return index, name(things[0]), name(things[1])
         return None
+
+    def touches(
+        self, obstacles: tuple[Obstacle, ...], position: ArrayLike
+    ) -> list[tuple[str, int]]:
+        """Links that touch obstacles with the grasp point at a position `(3,)` [m], and which.
+
+        The base, which never moves, does not count.
+        """
+        point = finite_array("position", position, ndim=1, last=3)
+        if not obstacles:
+            return []
+        (near,) = self.nearby(obstacles, self.postures(point[None]))
+        pairs = zip(near.links, near.obstacles.tolist(), near.gaps, strict=True)
+        return sorted({(link, obstacle) for link, obstacle, gap in pairs if gap < 0})
 
     def obstacle_gaps(self, obstacles: tuple[Obstacle, ...], angles: Array) -> Array:
         """Least gap [m] between the arm at `angles (T, J)` [rad] and an obstacle, `(T,)`.
