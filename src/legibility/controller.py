@@ -88,6 +88,7 @@ class Controller:
         self._action = np.zeros(self.scene.dim)
         self._states: list[Array] = []
         self._stale = False  # whether the scene has changed since planning began
+        self._planned_at = 0.0  # distance from the path [m] at that time
         self._posture: Array | None = None
         self._planning: Generator[Path | None, None, Path | None] | None = None
         self._done = False
@@ -182,11 +183,13 @@ class Controller:
         if self._done:
             self._action = np.zeros_like(here)
             return self._action.copy()
-        off = self._pilot.deviation[0] > self._tolerance and self.problem is None
+        deviation = float(self._pilot.deviation[0])
+        off = deviation > self._planned_at + self._tolerance
         self._stale |= changed
         if off or (self._stale and not self.planning):
             # A scene that keeps changing does not keep a plan from getting ready.
-            self._stale, self._planning = False, self._new_rests()
+            self._stale, self._planned_at = False, deviation
+            self._planning = self._new_rests()
         self._plan_until(deadline)
         pilot = self._pilot
         self._action = safe_actions(
@@ -285,6 +288,7 @@ class Controller:
         """Follow a new path from here, if there is one."""
         if path is not None:
             self._pilot.take(0, path, fresh=True)
+            self._planned_at = 0.0
             self.replans.append(len(self._states) - 1)
 
     def _checked_posture(self, here: Array, joint_angles: ArrayLike | None) -> Array | None:
