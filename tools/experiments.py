@@ -24,7 +24,10 @@ from legibility.cli.output import model_record
 from legibility.errors import InvalidInputError, LegibilityError
 from legibility.files import read_text
 
-_MODULES = {"onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym", "timing": "toppra"}
+_MODULES = {
+    "onnx": "onnxruntime", "panda": "mujoco", "pandagym": "panda_gym", "timing": "toppra",
+    "arms": "mujoco_menagerie",
+}  # fmt: skip
 """A module of each extra."""
 _PARALLEL = (
     "dial", "eyes", "planning", "optimum", "external", "execution", "table1", "unseen",

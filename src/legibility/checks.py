@@ -149,6 +149,19 @@ def bounded(name: str, value: Any, low: float, high: float = np.inf) -> float:
     return float(number)
 
 
+FRAMES = ("world", "base")
+"""Where positions are measured: the scene's frame, or the arm's base."""
+
+
+def frame_name(frame: Any, arm: object | None) -> str:
+    """One of `FRAMES`; base needs an arm."""
+    allowed = FRAMES if arm is not None else FRAMES[:1]
+    if frame not in allowed:
+        which = ", ".join(allowed) if arm is not None else "world without an arm"
+        raise InvalidInputError(f"frame must be one of {which}, got {frame!r}")
+    return frame
+
+
 def count(name: str, value: Any, *, low: int = 1) -> int:
     """An integer of at least `low`."""
     number = _integer(value)

@@ -76,6 +76,7 @@ class Controller:
         exact: bool,
         max_detour: float | None,
         arm: Arm | None,
+        frame: str,
     ) -> None:
         self.scene, self.limit, self.dt = path.scene, limit, dt
         self.problem: str | None = None
@@ -83,6 +84,7 @@ class Controller:
         self._first, self._sampler, self._seed, self._sampling = path, sampler, seed, sampling
         self._tolerance, self._budget = tolerance, budget
         self._exact, self._max_detour, self.arm = exact, max_detour, arm
+        self._base = arm if frame == "base" else None
         self._pilot = Pilot([path], driver, path.scene.start[None], limit, path.scene.workspace)
         self._barriers = Barriers.of([self.scene], [path.target])
         self._action = np.zeros(self.scene.dim)
@@ -163,7 +165,7 @@ class Controller:
         arm, with all its links.
 
         Args:
-            position: `(D,)` [m], where the robot is.
+            position: `(D,)` [m], where the robot is, in the frame that was asked for.
             scene: the scene as it is now, if it may have changed; its start does not count.
             joint_angles: `(J,)` [rad], of the arm; if not given, those of its inverse kinematics.
 
@@ -173,7 +175,8 @@ class Controller:
             InvalidSceneError: the scene does not fit the motion, or its target has jumped so far.
         """
         deadline = time.perf_counter() + self._budget
-        here = self._checked_position(position)
+        here = finite_array("position", position, ndim=1, last=self.scene.dim)
+        here = self._checked_position(self._base.in_world(here) if self._base else here)
         posture = self._checked_posture(here, joint_angles)
         changed = scene is not None and self._sees(scene)
         self._move(here)
@@ -182,7 +185,7 @@ class Controller:
             self._done, self.problem = False, None
         if self._done:
             self._action = np.zeros_like(here)
-            return self._action.copy()
+            return self._action
         deviation = float(self._pilot.deviation[0])
         off = deviation > self._planned_at + self._tolerance
         self._stale |= changed
@@ -196,7 +199,7 @@ class Controller:
             pilot.wanted(np.ones(1, dtype=bool)), pilot.positions, pilot.displacements,
             self.scene.workspace, self.limit, _LAG, self._barriers, self._planes(),
         )[0]  # fmt: skip
-        return self._action.copy()
+        return self._action @ self._base.base_to_world if self._base else self._action.copy()
 
     def replan(self, legibility: float | None = None) -> None:
         """Plan the rest of the motion anew from the next step on, for another ℓ if one is given."""
@@ -301,8 +304,7 @@ class Controller:
             return None
         return self.arm.postures(here[None], near=self._posture)[0]
 
-    def _checked_position(self, position: ArrayLike) -> Array:
-        here = finite_array("position", position, ndim=1, last=self.scene.dim)
+    def _checked_position(self, here: Array) -> Array:
         low, high = self.scene.workspace
         spare = max(self.limit, START_OVERSHOOT[self.scene.dim] * self.scene.diagonal)
         if not ((here >= low - spare) & (here <= high + spare)).all():

@@ -15,6 +15,7 @@ from .checks import (
     bounded,
     count,
     for_each,
+    frame_name,
     legibility_levels,
     levels_for_each,
     positive,
@@ -440,6 +441,7 @@ class Modulator:
         steps: int | None = None,
         driver: Driver | None = None,
         arm: Arm | str | None = None,
+        frame: str = "world",
     ) -> Controller:
         """A controller for a robot's own loop; the first path is planned here.
 
@@ -458,6 +460,8 @@ class Modulator:
             seed: of the paths drawn; None draws others each time.
             observer, exact, max_detour, guidance, steps, arm: see `plan`.
             driver: moves the robot instead of stage 2.
+            frame: of positions that come in and displacements that go out, world or the arm's base;
+                scenes are always in the world, see `Arm.in_world`.
 
         Raises:
             InvalidInputError: an argument is out of its range or does not fit the others.
@@ -479,7 +483,7 @@ class Modulator:
             raise InvalidInputError(f"path must be a legibility.Path of one level, got {path!r}")
         return Controller(
             path, self.sampler, self._driver(driver), limit=limit, dt=duration, seed=seed,
-            exact=exact, max_detour=_detour(max_detour), arm=body,
+            exact=exact, max_detour=_detour(max_detour), arm=body, frame=frame_name(frame, body),
             tolerance=limit if tolerance is None else positive("tolerance", tolerance),
             budget=np.inf if budget is None else bounded("budget", budget, 0),
             sampling=Sampling(guidance, steps).checked(self.config),

@@ -150,7 +150,7 @@ def test_frames(turn):
     assert base.score == pytest.approx(motion.score)
     with pytest.raises(InvalidInputError, match="frame must be one of world, base, got 'tool'"):
         motion.in_frame("tool")
-    with pytest.raises(InvalidInputError, match="only the motion of an arm has a frame base"):
+    with pytest.raises(InvalidInputError, match="world without an arm"):
         flat_path().timed().in_frame("base")
 
 

@@ -454,3 +454,14 @@ class TestOddModel:
         plain = {"model": odd.model, "site": "tool", "home": odd.home, "limits": odd.limits}
         with pytest.raises(InvalidInputError, match=message):
             Arm(**{**plain, **changes})
+
+
+def test_points_from_the_base_and_back():
+    """A point ahead of a base that faces along y lies beside it."""
+    arm = ur5e(base=[-0.6, 0.2, 0.1, np.pi / 2])
+    np.testing.assert_allclose(arm.in_world([0.3, 0, 0]), [-0.6, 0.5, 0.1], atol=1e-12)
+    points = np.random.default_rng(0).normal(size=(4, 5, 3))
+    np.testing.assert_allclose(arm.in_base(arm.in_world(points)), points, atol=1e-12)
+    for method in (arm.in_world, arm.in_base):
+        with pytest.raises(InvalidInputError, match="points"):
+            method([0.3, 0])

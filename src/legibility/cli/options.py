@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..checks import Array, legibility_levels, positive, random_seed
+from ..checks import Array, frame_name, legibility_levels, positive, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
 from ..files import read_document
 from ..intent.observer import Observer, observer_of
@@ -169,7 +169,7 @@ class Timed:
 
         `others` are the files that hold something else.
         """
-        from ..motion.timed import FRAMES, mover
+        from ..motion.timed import mover
 
         if self.out is None:
             for field in dataclasses.fields(self):
@@ -183,9 +183,7 @@ class Timed:
         _, arm = mover(self.limits, self.arm)
         if arm is not None and dim != 3:
             raise InvalidInputError(f"an arm moves in 3-D, the scene is {dim}-D")
-        if self.frame not in FRAMES or (self.frame == "base" and arm is None):
-            allowed = ", ".join(FRAMES) if arm is not None else "world without an arm"
-            raise InvalidInputError(f"frame must be one of {allowed}, got {self.frame!r}")
+        frame_name(self.frame, arm)
         if self.profile is not None:
             from ..figures.motion import check_number
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from ..checks import Array, positive
+from ..checks import Array, frame_name, positive
 from ..errors import InvalidInputError
 from ..intent.metrics import posterior_legibility, score_weights, time_to_confidence
 from ..robots.arm import PANDA, Arm
@@ -31,9 +31,6 @@ _APART = 0.01
 
 _INSTANTS = 1_000_000
 """Most instants of a motion."""
-
-FRAMES = ("world", "base")
-"""Where positions are measured: the scene's frame, or the arm's base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,17 +131,13 @@ class Motion:
         Raises:
             InvalidInputError: there is no such frame, or no arm that has a base.
         """
-        if frame not in FRAMES:
-            raise InvalidInputError(f"frame must be one of {', '.join(FRAMES)}, got {frame!r}")
-        if frame == self.frame:
+        if frame_name(frame, self.arm) == self.frame:
             return self
-        if self.arm is None:
-            raise InvalidInputError("only the motion of an arm has a frame base")
-        origin, base_to_world = self.arm.base[:3], self.arm.base_to_world
+        assert self.arm is not None
         if frame == "base":
-            move, rotation = lambda x: (x - origin) @ base_to_world, base_to_world
+            move, rotation = self.arm.in_base, self.arm.base_to_world
         else:
-            move, rotation = lambda x: x @ base_to_world.T + origin, base_to_world.T
+            move, rotation = self.arm.in_world, self.arm.base_to_world.T
         return replace(
             self, frame=frame, positions=move(self.positions),
             velocities=self.velocities @ rotation, accelerations=self.accelerations @ rotation,

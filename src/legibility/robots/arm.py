@@ -181,6 +181,16 @@ class Arm:
         cos, sin = np.cos(self.base[3]), np.sin(self.base[3])
         return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
+    def in_world(self, points: ArrayLike) -> Array:
+        """Points `(..., 3)` [m] measured from the base, in the world."""
+        points = finite_array("points", points, last=3)
+        return points @ self.base_to_world.T + self.base[:3]
+
+    def in_base(self, points: ArrayLike) -> Array:
+        """Points `(..., 3)` [m] of the world, measured from the base."""
+        points = finite_array("points", points, last=3)
+        return (points - self.base[:3]) @ self.base_to_world
+
     @property
     def gripper_to_world(self) -> Array:
         """The gripper's axes in the world where it does not lean, `(3, 3)`."""
