@@ -7,7 +7,7 @@ from collections.abc import Generator
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,10 +25,10 @@ from .motion.library import curve_library
 from .motion.path import Path
 from .motion.rough_archive import rough_archive
 from .motion.tracking import PathTracker
-from .parts import finished
+from .parts import Parts, finished
 from .pilot import Pilot
-from .rollout import PATIENCE
-from .scene import START_OVERSHOOT, Scene
+from .rollout import PATIENCE, RESTARTS
+from .scene import DEFAULT_WORKSPACE, START_OVERSHOOT, Scene
 from .whole_arm import keeps_off
 
 if TYPE_CHECKING:
@@ -36,10 +36,12 @@ if TYPE_CHECKING:
     from .robots.arm import Arm
 
 REACHED = 0.02
-"""Distance from the goal at which a motion that has slowed down is over [m]."""
+"""Distance from the goal at which a motion that has slowed down is over [m], in a room of the
+default size; it grows with the room."""
 
-_SLOW = 0.2
-_JUMP = 10.0  # limits
+# In largest displacements: a slow robot, one that hardly moves, what is noise, and what is believed
+# of a step.
+_SLOW, _STILL, _NOISE, _JUMP = 0.2, 0.5, 0.1, 10.0
 _LAG = 0.3
 
 
@@ -47,7 +49,7 @@ class Controller:
     """Moves one robot to its goal with the ℓ asked for; `Modulator.controller` makes one.
 
     Call `step` once every `dt` with the robot's position, and send it the displacement returned.
-    When the robot is pushed off its path, or the scene changes, the rest of the motion is planned
+    When the robot is off its path, or the scene has changed, the rest of the motion is planned
     anew, a part of the work in each step; until it is ready the robot goes on as it was, off
     whatever is in the way. A new rest sets out in the direction of motion, and ℓ is that of the
     whole motion, what is already executed included.
@@ -58,7 +60,8 @@ class Controller:
         dt: duration of a step [s].
         arm: that moves, if any.
         replans: the steps at which a new path was taken.
-        problem: why there is no path in the scene as it is now; None if there is.
+        problem: why there is no way in the scene as it is now; None if there is one, as far as is
+            known.
     """
 
     def __init__(
@@ -78,26 +81,33 @@ class Controller:
         arm: Arm | None,
         frame: str,
     ) -> None:
-        self.scene, self.limit, self.dt = path.scene, limit, dt
+        scene = path.scene
+        self.scene, self.limit, self.dt, self.arm = scene, limit, dt, arm
         self.problem: str | None = None
         self.replans: list[int] = []
-        self._first, self._sampler, self._seed, self._sampling = path, sampler, seed, sampling
+        self._first, self._level = path, path.legibility
         self._tolerance, self._budget = tolerance, budget
-        self._exact, self._max_detour, self.arm = exact, max_detour, arm
         self._base = arm if frame == "base" else None
-        self._pilot = Pilot([path], driver, path.scene.start[None], limit, path.scene.workspace)
-        self._barriers = Barriers.of([self.scene], [path.target])
-        self._action = np.zeros(self.scene.dim)
-        self._states: list[Array] = []
-        self._stale = False  # whether the scene has changed since planning began
-        self._planned_at = 0.0  # distance from the path [m] at that time
-        self._posture: Array | None = None
-        self._planning: Generator[Path | None, None, Path | None] | None = None
+        self._reached = REACHED * scene.diagonal / _diagonal(scene.dim)
+        self._continue = partial(
+            continuation, sampler=sampler, seed=seed, sampling=sampling, exact=exact,
+            max_detour=max_detour, accepts=partial(keeps_off, arm),
+        )  # fmt: skip
+        self._archive_of, self._max_detour = scene_archive if exact else rough_archive, max_detour
+        self._pilot = Pilot([path], driver, scene.start[None], limit, scene.workspace)
+        self._barriers = Barriers.of([scene], [path.target])
+        self._action = np.zeros(scene.dim)
         self._done = False
-        self._seen = path.scene
+        self._states, self._angles = list[Array](), list[Array]()
+        self._way = list[Array]()  # the states without the noise of a robot that stands
+        self._still_since = 0  # the step since when the robot has hardly moved
+        self._seen = scene  # as it was given
+        self._planned: Scene | None = scene  # for which the last plan was begun; None asks for one
+        self._planned_at = 0.0  # distance from the path [m] when it was
+        self._restarts = 0
+        self._planning: Generator[Path | None, None, Path | None] | None = None
         # Read and sorted now, not in a step.
-        _ = curve_library(self.scene.dim, path.observer.detour).by_length
-        self._archive_of = scene_archive if exact else rough_archive
+        _ = curve_library(scene.dim, path.observer.detour).by_length
 
     @property
     def path(self) -> Path:
@@ -111,7 +121,7 @@ class Controller:
 
     @property
     def done(self) -> bool:
-        """Whether the robot has reached its goal."""
+        """Whether the robot is at its goal."""
         return self._done
 
     @property
@@ -122,7 +132,9 @@ class Controller:
     @property
     def stalled(self) -> bool:
         """Whether the robot has made no progress for two seconds."""
-        return not self._done and self._pilot.idle[0] >= round(PATIENCE / self.dt)
+        patience = max(1, round(PATIENCE / self.dt))
+        standing = len(self._states) - self._still_since
+        return not self._done and max(self._pilot.idle[0], standing) > patience
 
     @property
     def posterior(self) -> Array:
@@ -135,21 +147,29 @@ class Controller:
         """The label in [−1, 1] of the motion so far and the rest of the path, taken together.
 
         By the archive that the plans are made with; for the loop's pauses, as it may be built.
+
+        Raises:
+            InvalidSceneError: no curve leads to the target in the scene as it is now.
         """
         path, tracker = self.path, self._pilot.tracker
         ahead = tracker.ahead(np.linspace(0, float(tracker.remaining[0]), SCORE_POINTS))[0]
-        motion = np.concatenate([self.states, ahead])
+        motion = np.concatenate([*map(np.atleast_2d, self._way), ahead])
         score = path.observer.score(motion, self.scene, path.target)
         return float(self._archive_of(self.scene, path.target, path.observer).label_of(score))
 
     def motion(self) -> Motion:
-        """The motion so far, with the time of each step."""
+        """The motion so far, with the time of each step, and the joints of an arm.
+
+        Raises:
+            InvalidInputError: before the second step.
+        """
         from .motion.timed import Motion
 
-        if not self._states:
-            raise InvalidInputError("there is no motion before the first step")
-        path = replace(self._first, scene=self.scene)
-        return Motion.recorded(path, self.states, self.dt, np.empty((0, 0)), None)
+        if len(self._states) < 2:
+            raise InvalidInputError("there is no motion before the second step")
+        path = replace(self._first, scene=self.scene, legibility=self._level)
+        angles = np.array(self._angles) if self.arm is not None else np.empty((0, 0))
+        return Motion.recorded(path, self.states, self.dt, angles, self.arm)
 
     @np.errstate(under="ignore")
     def step(
@@ -159,7 +179,7 @@ class Controller:
         *,
         joint_angles: ArrayLike | None = None,
     ) -> Array:
-        """The next displacement of the robot, `(D,)` [m]; 0 when it has reached its goal.
+        """The next displacement of the robot, `(D,)` [m]; 0 while it is at its goal.
 
         It is finite, within the limit, and keeps the robot in the workspace and off obstacles; an
         arm, with all its links.
@@ -176,22 +196,21 @@ class Controller:
         """
         deadline = time.perf_counter() + self._budget
         here = finite_array("position", position, ndim=1, last=self.scene.dim)
-        here = self._checked_position(self._base.in_world(here) if self._base else here)
+        here = self._checked_position(self._base.in_world(here) if self._base else here.copy())
         posture = self._checked_posture(here, joint_angles)
-        changed = scene is not None and self._sees(scene)
-        self._move(here)
-        self._posture = posture
-        if changed:
-            self._done, self.problem = False, None
+        if scene is not None and scene is not self._seen:
+            self._see(scene)
+        self._move(here, posture)
         if self._done:
             self._action = np.zeros_like(here)
-            return self._action
+            return self._action.copy()
         deviation = float(self._pilot.deviation[0])
         off = deviation > self._planned_at + self._tolerance
-        self._stale |= changed
-        if off or (self._stale and not self.planning):
+        if off or (not self.planning and self._is_stale()):
             # A scene that keeps changing does not keep a plan from getting ready.
-            self._stale, self._planned_at = False, deviation
+            self._planned_at = deviation
+            if self._is_stale():
+                self._planned = self.scene
             self._planning = self._new_rests()
         self._plan_until(deadline)
         pilot = self._pilot
@@ -207,56 +226,67 @@ class Controller:
             level = legibility_levels(legibility)
             if level.ndim:
                 raise InvalidInputError(f"legibility must be one number, got {legibility!r}")
+            self._level = level
             self._pilot.paths[0] = replace(self.path, legibility=level)
-        self._planning, self._stale = None, True
+        self._planned = None
 
-    def _planes(self) -> Planes | None:
-        """Planes between the arm and the obstacles near it."""
-        if self.arm is None or self._posture is None or not self.scene.obstacles:
-            return None
-        return Planes.of([next(self.arm.nearby(self.scene.obstacles, self._posture[None]))])
+    def _is_stale(self) -> bool:
+        """Whether the last plan was begun for another scene, or another plan is asked for."""
+        return self._planned is None or not _alike(self._planned, self.scene, _NOISE * self.limit)
 
-    def _move(self, here: Array) -> None:
+    def _move(self, here: Array, posture: Array | None) -> None:
         """Take note of the position."""
-        pilot = self._pilot
+        pilot, first = self._pilot, not self._states
+        moved = 0.0 if first else float(np.linalg.norm(here - self._states[-1]))
+        apart = float(np.linalg.norm(here - self.scene.goals[self.path.target]))
+        slow = not first and moved <= _SLOW * self.limit
+        # One that has arrived may be a little off.
+        near = apart <= self._reached * (1 + self._done)
+        self._done = near and (slow or self._done)
+        if self._done and moved == 0:
+            return  # it stands: a record of that would grow for ever
         self._states.append(here)
-        if len(self._states) == 1:
-            pilot.positions = here[None]
-            pilot.deviation = pilot.tracker.distance(pilot.positions)
-            return
-        pilot.moved(here[None], self._action[None])
-        apart = np.linalg.norm(here - self.scene.goals[self.path.target])
-        moved = np.linalg.norm(here - self._states[-2])
-        self._done |= bool(apart <= REACHED and moved <= _SLOW * self.limit)
+        if posture is not None:
+            self._angles.append(posture)
+        if not self._way or np.linalg.norm(here - self._way[-1]) > _NOISE * self.limit:
+            self._way.append(here)
+        anchor = self._states[self._still_since]
+        if np.linalg.norm(here - anchor) > _STILL * self.limit:
+            self._still_since = len(self._states) - 1
+        if first:
+            pilot.start(here[None])
+        else:
+            pilot.moved(here[None], self._action[None])
 
     def _rest(self) -> Rest:
-        return self._pilot.rest(0, self.scene, self.states)
+        way = np.array(self._way)
+        if not np.array_equal(way[-1], self._states[-1]):
+            way = np.concatenate([way, self._states[-1:]])
+        return self._pilot.rest(0, self._planned or self.scene, way)
 
     def _new_rests(self) -> Generator[Path | None, None, Path | None]:
         """New rests of the motion, better and better ones, for where the robot is at the time."""
         since, rest = len(self._states) - 1, self._rest()
         path = yield from mended(rest)
-        yield None if path is None else self._from_here(path, since)
-        planning = continuation(
-            rest, self._sampler, self._seed, self._sampling, exact=self._exact,
-            max_detour=self._max_detour, accepts=partial(keeps_off, self.arm),
-        )  # fmt: skip
+        if path is not None:
+            yield (yield from self._from_here(path, since))
+        planning = self._continue(rest)
         while True:
             try:
                 path = next(planning)
             except StopIteration as end:
                 path = end.value
                 break
-            if path is not None:
-                path = self._from_here(path, since)
-            yield path
+            yield None if path is None else (yield from self._from_here(path, since))
         if since == len(self._states) - 1:
             return path
-        rest = self._left(path, since)
-        since = len(self._states) - 1
-        archive = self._archive_of(self.scene, path.target, path.observer)
+        rest, since = self._left(path, since), len(self._states) - 1
+        scene = rest.begun.scene
+        archive = yield from self._archive_of.parts(scene, path.target, path.observer)
         path, fault = yield from brought(rest, archive, self._max_detour)
-        return self._from_here(path, since) if fault < np.inf else None
+        if fault == np.inf:
+            return None
+        return (yield from self._from_here(path, since))
 
     def _left(self, path: Path, since: int) -> Rest:
         """What is left of a path from where the robot was at a step."""
@@ -266,11 +296,15 @@ class Controller:
         left = tracker.ahead(np.linspace(0, float(tracker.remaining[0]), NUM_WAYPOINTS + 2))[0]
         return replace(self._rest(), remaining=left)
 
-    def _from_here(self, path: Path, since: int) -> Path | None:
+    def _from_here(self, path: Path, since: int) -> Parts[Path | None]:
         """A path from where the robot was at a step, moved to where it is now."""
-        if since == len(self._states) - 1:
+        now = len(self._states) - 1
+        if now == since:
             return path
-        return finished(mended(self._left(path, since)))
+        moved = yield from mended(self._left(path, since))
+        if moved is None or now == len(self._states) - 1:
+            return moved
+        return finished(mended(self._left(moved, now)))  # the robot will not wait
 
     def _plan_until(self, deadline: float) -> None:
         """Go on planning until a time is over, or there is nothing to plan."""
@@ -280,29 +314,42 @@ class Controller:
             except StopIteration as end:
                 path = end.value
                 self._planning, self.problem = None, None
+                if path is None:  # what was found does not fit any more
+                    self._planned = None
             except InvalidSceneError as problem:
                 path = None
                 self._planning, self.problem = None, str(problem)
-            self._take(path)
+            if path is not None:
+                self._take(path)
             if time.perf_counter() >= deadline:
                 return
 
-    def _take(self, path: Path | None) -> None:
-        """Follow a new path from here, if there is one."""
-        if path is not None:
-            self._pilot.take(0, path, fresh=True)
-            self._planned_at = 0.0
+    def _take(self, path: Path) -> None:
+        """Follow a new path from here."""
+        # A robot that leaves every new path as well restarts its stall timer only a few times.
+        off = self._planned_at > self._tolerance
+        fresh = not off or self._restarts < RESTARTS
+        self._restarts += off and fresh
+        self._pilot.take(0, replace(path, legibility=self._level), fresh=fresh)
+        self._planned_at = 0.0
+        if self.replans[-1:] != [len(self._states) - 1]:
             self.replans.append(len(self._states) - 1)
 
-    def _checked_posture(self, here: Array, joint_angles: ArrayLike | None) -> Array | None:
-        """The angles `(J,)` [rad] of the arm with its grasp point `here`, where they matter."""
-        if joint_angles is not None:
-            if self.arm is None:
-                raise InvalidInputError("joint_angles are of an arm, the controller moves a point")
-            return finite_array("joint_angles", joint_angles, ndim=1, last=self.arm.joints)
+    def _planes(self) -> Planes | None:
+        """Planes between the arm and the obstacles near it."""
         if self.arm is None or not self.scene.obstacles:
             return None
-        return self.arm.postures(here[None], near=self._posture)[0]
+        return Planes.of([next(self.arm.nearby(self.scene.obstacles, self._angles[-1][None]))])
+
+    def _checked_posture(self, here: Array, joint_angles: ArrayLike | None) -> Array | None:
+        """The angles `(J,)` [rad] of the arm with its grasp point `here`."""
+        if self.arm is None:
+            if joint_angles is not None:
+                raise InvalidInputError("joint_angles are of an arm, the controller moves a point")
+            return None
+        if joint_angles is not None:
+            return finite_array("joint_angles", joint_angles, ndim=1, last=self.arm.joints).copy()
+        return self.arm.postures(here[None], near=self._angles[-1] if self._angles else None)[0]
 
     def _checked_position(self, here: Array) -> Array:
         low, high = self.scene.workspace
@@ -312,7 +359,7 @@ class Controller:
                 f"position must lie in the workspace {self.scene.workspace.tolist()} m, "
                 f"got {here.tolist()}"
             )
-        before = self._states[-1] if self._states else self.path.scene.start
+        before = self._states[-1] if self._states else self._first.scene.start
         apart = float(np.linalg.norm(here - before))
         if apart > _JUMP * self.limit:
             where = "the last one" if self._states else "the path's start"
@@ -322,10 +369,8 @@ class Controller:
             )
         return here
 
-    def _sees(self, scene: Scene) -> bool:
-        """Take note of the scene as it is now; return whether it has changed."""
-        if scene == self._seen:
-            return False
+    def _see(self, scene: Scene) -> None:
+        """Take note of the scene as it is now."""
         if not isinstance(scene, Scene):
             raise InvalidSceneError(f"scene must be a legibility.Scene, got {type(scene).__name__}")
         now, target = self.scene, self.path.target
@@ -339,13 +384,35 @@ class Controller:
                 f"the scene must keep its workspace {now.workspace.tolist()} m, got "
                 f"{scene.workspace.tolist()}: make a new controller"
             )
-        scene.check_target(target)
         apart = float(np.linalg.norm(scene.goals[target] - now.goals[target]))
         if apart > _JUMP * self.limit:
             raise InvalidSceneError(
                 f"the target goals[{target}] is {apart:.3g} m from where it was, at most "
                 f"{_JUMP * self.limit:g} m is believed in a step: make a new controller"
             )
-        self._seen, self.scene = scene, scene.starting_at(now.start)
+        self._seen, self.scene = scene, scene.starting_at(self._first.scene.start)
         self._barriers = Barriers.of([self.scene], [target])
-        return self.scene != now
+
+
+def _diagonal(dim: int) -> float:
+    """That of the default workspace [m]."""
+    low, high = np.array(DEFAULT_WORKSPACE[dim])
+    return float(np.linalg.norm(high - low))
+
+
+def _alike(scene: Scene, other: Scene, tolerance: float) -> bool:
+    """Whether two scenes are built alike, and no number in them differs by more than that."""
+    if scene is other:
+        return True
+    ours, theirs = (_numbers(s.to_dict()) for s in (scene, other))
+    return ours.keys() == theirs.keys() and all(
+        abs(value - theirs[place]) <= tolerance for place, value in ours.items()
+    )
+
+
+def _numbers(value: Any, place: str = "") -> dict[str, float]:
+    """All numbers in plain values by their places."""
+    if isinstance(value, dict | list | tuple):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return {k: v for name, item in items for k, v in _numbers(item, f"{place}/{name}").items()}
+    return {place: float(value)}

@@ -384,7 +384,8 @@ class Modulator:
                 steps, driver: see `execute`.
         """
         seed = seed_or_entropy("seed", seed)
-        driver = self._driver(driver)
+        driver, sampling = self._driver(driver), Sampling(guidance, steps).checked(self.config)
+        max_detour = _detour(max_detour)
         fleet = Fleet(env, seed)
         self._check_fleet(fleet)
         tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
@@ -413,7 +414,7 @@ class Modulator:
                 (path,) = plan([row], seed)
                 return path
             parts = continuation(
-                rest, self.sampler, seed, Sampling(guidance, steps), exact=exact,
+                rest, self.sampler, seed, sampling, exact=exact,
                 max_detour=max_detour, accepts=partial(keeps_off, arms[row]),
             )  # fmt: skip
             return finished(parts)
@@ -432,10 +433,10 @@ class Modulator:
         max_displacement: float | None = None,
         tolerance: float | None = None,
         budget: float | None = 0.003,
-        path: Path | None = None,
         seed: int | None = 0,
         observer: Observer | None = None,
         exact: bool = False,
+        num_candidates: int = 1,
         max_detour: float | None = None,
         guidance: float | None = None,
         steps: int | None = None,
@@ -456,9 +457,9 @@ class Modulator:
                 `max_displacement` if not given.
             budget: time [s] that a step may spend on planning; None is no limit. The part that is
                 begun in this time is finished: a few milliseconds more.
-            path: the first path, instead of planning it.
             seed: of the paths drawn; None draws others each time.
-            observer, exact, max_detour, guidance, steps, arm: see `plan`.
+            observer, exact, num_candidates, max_detour, guidance, steps, arm: see `plan`; the
+                candidates are of the first path.
             driver: moves the robot instead of stage 2.
             frame: of positions that come in and displacements that go out, world or the arm's base;
                 scenes are always in the world, see `Arm.in_world`.
@@ -474,13 +475,12 @@ class Modulator:
         if max_displacement is not None:
             limit = positive("max_displacement", max_displacement)
         body = checked_arm(arm, self.config.dim)
-        if path is None:
-            path = self.plan(
-                scene, target, legibility, seed=seed, observer=observer, exact=exact,
-                max_detour=max_detour, guidance=guidance, steps=steps, arm=body,
-            )  # fmt: skip
-        if not isinstance(path, Path) or path.legibility.ndim:
-            raise InvalidInputError(f"path must be a legibility.Path of one level, got {path!r}")
+        path = self.plan(
+            scene, target, legibility, seed=seed, observer=observer, exact=exact, arm=body,
+            num_candidates=num_candidates, max_detour=max_detour, guidance=guidance, steps=steps,
+        )  # fmt: skip
+        if path.legibility.ndim:
+            raise InvalidInputError(f"legibility must be one number, got {legibility!r}")
         return Controller(
             path, self.sampler, self._driver(driver), limit=limit, dt=duration, seed=seed,
             exact=exact, max_detour=_detour(max_detour), arm=body, frame=frame_name(frame, body),
@@ -492,6 +492,10 @@ class Modulator:
     def _driver(self, driver: Driver | None) -> Driver:
         """The driver given, or stage 2."""
         if driver is not None:
+            if not callable(driver):
+                raise InvalidInputError(
+                    f"driver must be a legibility.drivers.Driver, got {driver!r}"
+                )
             return driver
         if self._policy is None:
             raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")

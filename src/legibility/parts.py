@@ -32,10 +32,15 @@ class CachedParts(Generic[T]):
     def __init__(self, function: Callable[..., Parts[T]], maxsize: int) -> None:
         self._function, self._maxsize = function, maxsize
         self._results: OrderedDict[tuple[Hashable, ...], T] = OrderedDict()
+        self.__qualname__ = function.__qualname__
         functools.update_wrapper(self, function)
 
     def __call__(self, *args: Any) -> T:
         return finished(self.parts(*args))
+
+    def __reduce__(self) -> str:
+        """By its name, as functions are."""
+        return self.__qualname__
 
     def __len__(self) -> int:
         """How many results are kept."""
@@ -47,12 +52,12 @@ class CachedParts(Generic[T]):
 
     def parts(self, *args: Any) -> Parts[T]:
         """The computation, which is over at once if its result is kept."""
-        if args not in self._results:
-            self._results[args] = yield from self._function(*args)
-            while len(self._results) > self._maxsize:
-                self._results.popitem(last=False)
-        self._results.move_to_end(args)
-        return self._results[args]
+        kept = self._results.pop(args, None)
+        result = (yield from self._function(*args)) if kept is None else kept
+        self._results[args] = result
+        if len(self._results) > self._maxsize:
+            self._results.popitem(last=False)
+        return result
 
     def cache_clear(self) -> None:
         """Forget all results."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .checks import Array
 from .curves import NUM_WAYPOINTS
 from .drivers import Driver, RobotStates
+from .errors import InvalidInputError
 from .models.continuation import Rest
 from .models.projection import Begun
 from .motion.path import Path
@@ -17,7 +18,7 @@ from .motion.tracking import NOMINAL_GAIN, PathTracker
 from .scene import Scene
 
 _PROGRESS = 0.2
-_MOVING = 0.1  # least action, in limits, that gives a direction of motion
+_MOVING = 0.1  # least displacement, in limits, that has a direction
 
 
 class Pilot:
@@ -60,6 +61,11 @@ class Pilot:
         self._least = np.full(size, np.inf)  # left to go [m] when it last fell by _PROGRESS
         self._sent = np.zeros_like(positions)
 
+    def start(self, positions: Array) -> None:
+        """The robots begin at `positions (B, D)` [m], near the starts of their paths."""
+        self.positions, self._previous = positions, positions.copy()
+        self.deviation = self.tracker.distance(positions)
+
     def wanted(self, active: NDArray[np.bool_]) -> Array:
         """The next displacement that the driver wants, `(B, D)` [m]; 0 where not `active (B,)`."""
         rows = np.flatnonzero(active & np.array([not len(c) for c in self._chunks]))
@@ -69,6 +75,8 @@ class Pilot:
                 self.tracker.of(rows), self.idle[rows],
             )  # fmt: skip
             for row, chunk in zip(rows, self.driver(robots), strict=True):
+                if not len(chunk):
+                    raise InvalidInputError(f"the driver {self.driver!r} gave no displacement")
                 self._chunks[row] = chunk
         wanted = np.zeros_like(self.positions)
         for row in np.flatnonzero(active):
@@ -99,8 +107,9 @@ class Pilot:
         """
         tracker = self.tracker.of(np.array([row]))
         arc = np.linspace(tracker.progress, tracker.lengths, NUM_WAYPOINTS + 2, axis=1)
+        # What was sent, as a push is no direction of motion; nothing if the robot stands.
         size = float(np.linalg.norm(self._sent[row]))
-        moving = size > _MOVING * self.limit
+        moving = min(size, float(np.linalg.norm(self.displacements[row]))) > _MOVING * self.limit
         heading = self._sent[row] / size if moving else np.zeros_like(self._sent[row])
         return Rest(Begun(scene, states, heading), tracker.points(arc)[0], self.paths[row])
 

@@ -28,8 +28,10 @@ Replan = Callable[[int, Rest], Path]
 PATIENCE = 2.0
 """Time without progress after which a robot is stopped [s]."""
 
+RESTARTS = 3
+"""How often new paths restart that time, for a robot that leaves them as well."""
+
 _LOST = 6.0
-_RESTARTS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,8 +235,9 @@ class _Run:
             states = np.stack([positions[row] for positions in self.states])
             path = plan(row, pilot.rest(row, scenes[row], states))
             # A robot that leaves every new path as well restarts its stall timer only a few times.
-            pilot.take(row, path, fresh=bool(moved[row] or self.restarts[row] < _RESTARTS))
-            self.restarts[row] += moved[row] or self.restarts[row] < _RESTARTS
+            fresh = bool(moved[row] or self.restarts[row] < RESTARTS)
+            pilot.take(row, path, fresh=fresh)
+            self.restarts[row] += fresh
             self.replans[row].append(int(self.steps[row]))
 
     def rollouts(self, paths: list[Path]) -> list[Rollout]:

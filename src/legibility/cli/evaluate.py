@@ -268,7 +268,7 @@ _ENDS = 0.01
 _MODULES = {"table1": "comparison", "unseen": "comparison"}
 """The modules of evaluations that have another name."""
 
-_PLANS = ("dial", "eyes", "planning", "optimum", "external", "timing", "controller")
+_PLANS = ("dial", "eyes", "planning", "optimum", "external", "timing")
 """Evaluations of scenes, by stage 1 alone unless the loop is closed."""
 
 
@@ -302,11 +302,12 @@ def _evaluate(
         options["policies"] = load_baselines(names)
         weights["baselines"] = [output.model_record(name) for name in names.values()]
     name = model or MODELS[environment_dim(settings.env)]
-    plans = kind in _PLANS and not getattr(settings, "closed_loop", kind == "controller")
+    plans = kind in _PLANS and not getattr(settings, "closed_loop", False)
     backend = getattr(settings, "backend", "torch")
     modulator = Modulator.from_pretrained(name, backend=backend)
     weights["model"] = output.model_record(name, "path" if plans else "*")
-    with output.progress_bar("scenes" if kind in _PLANS else "rollouts") as progress:
+    items = "scenes" if kind in (*_PLANS, "controller") else "rollouts"
+    with output.progress_bar(items) as progress:
         evaluate = getattr(module, f"evaluate_{kind}")
         result = evaluate(modulator, config=settings, **options, progress=progress)
     _write(kind, settings, result, json, **weights)

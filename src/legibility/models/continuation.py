@@ -2,7 +2,8 @@
 
 The rest of the path followed so far, moved to where robot and goal are now, is tried first. Where
 it cannot be brought to the ℓ of the whole motion, stage 1 draws rests of all levels. All set out in
-the direction of motion, and what was already said counts.
+the direction of motion, and what was already said counts. Where nothing else is out of contact, the
+archive's nearest curve from here takes over, whatever its direction.
 """
 
 from __future__ import annotations
@@ -131,6 +132,7 @@ def continuation(
     """
     begun, target, observer = rest.begun, rest.path.target, rest.path.observer
     scene, level = rest.scene, float(rest.path.legibility)
+    begun.scene.check_target(target)
     archive_of = scene_archive if exact else rough_archive
     archive = yield from archive_of.parts(begun.scene, target, observer)
     judge = _Judge(rest, archive, max_detour)

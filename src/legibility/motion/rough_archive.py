@@ -77,11 +77,12 @@ def _geometry(scene: Scene, target: int, detour: float) -> Parts[Archive]:
     first = np.flatnonzero(np.diff(library.cells, prepend=-1))
     last = np.append(first[1:], len(library))
     yield
+    at_once = _AT_ONCE // (4 if scene.obstacles else 1)  # their distance takes its time
     taken, tried, cells = [np.empty(0, dtype=np.intp)], 1, len(first)
     while len(first):
         tried += len(first)
         clear = np.empty(len(first), dtype=bool)
-        for few in np.array_split(np.arange(len(first)), -(-len(first) // _AT_ONCE)):
+        for few in np.array_split(np.arange(len(first)), -(-len(first) // at_once)):
             clear[few] = free(scene, target, controls[first[few]])
             yield
         if shortest > frame.scale:
