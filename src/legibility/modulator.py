@@ -471,7 +471,7 @@ class Modulator:
         own = vector_type(None, self.config.dim)
         own_dt, seed = 1 / own.metadata["render_fps"], seed_or_entropy("seed", seed)
         duration = own_dt if dt is None else positive("dt", dt)
-        limit = own.max_displacement * duration / own_dt
+        limit = own.max_displacement * (duration / own_dt)
         if max_displacement is not None:
             limit = positive("max_displacement", max_displacement)
         body = checked_arm(arm, self.config.dim)
