@@ -39,7 +39,7 @@ from .motion.path import Path
 from .parts import finished
 from .rollout import Rollout, follow
 from .scene import Scene
-from .whole_arm import checked_arm, keeps_off, paths_off_obstacles
+from .whole_arm import checked_arm, freed, keeps_off, paths_off_obstacles
 
 if TYPE_CHECKING:
     from .robots.arm import Arm
@@ -417,7 +417,7 @@ class Modulator:
                 rest, self.sampler, seed, sampling, exact=exact,
                 max_detour=max_detour, accepts=partial(keeps_off, arms[row]),
             )  # fmt: skip
-            return finished(parts)
+            return freed(arms[row], finished(parts))
 
         arms = fleet.arms
         chosen = list(paths) if paths is not None else paths_off_obstacles(arms, plan, seed)

@@ -96,6 +96,16 @@ def keeps_off(arm: Arm | None, path: Path) -> Parts[bool]:
     return _clear(gaps)
 
 
+def freed(arm: Arm | None, path: Path) -> Path:
+    """The path, or where an arm touches something on it, the archive's nearest curve that is free.
+
+    The path as it is if none is found.
+    """
+    if arm is None or finished(keeps_off(arm, path)):
+        return path
+    return next(_free_curves(arm, path, thorough=True), path)
+
+
 def _gaps(arm: Arm, path: Path) -> Parts[tuple[Array, Array]]:
     """Points `(P, 3)` [m] of a path, 1 cm apart, and the arm's least gap there, `(P,)` [m]."""
     from .robots.arm import checked_points
