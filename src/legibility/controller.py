@@ -101,8 +101,9 @@ class Controller:
         self._states, self._angles = list[Array](), list[Array]()
         self._way = list[Array]()  # the states without the noise of a robot that stands
         self._still_since = 0  # the step since when the robot has hardly moved
-        self._seen = scene  # as it was given
-        self._planned: Scene | None = scene  # for which the last plan was begun; None asks for one
+        self._now = scene  # whatever its start
+        # Those for which the last plan was begun; None asks for another.
+        self._planned: tuple[Scene, Scene] | None = scene, scene
         self._planned_at = 0.0  # distance from the path [m] when it was
         self._restarts = 0
         self._planning: Generator[Path | None, None, Path | None] | None = None
@@ -198,7 +199,7 @@ class Controller:
         here = finite_array("position", position, ndim=1, last=self.scene.dim)
         here = self._checked_position(self._base.in_world(here) if self._base else here.copy())
         posture = self._checked_posture(here, joint_angles)
-        if scene is not None and scene is not self._seen:
+        if scene is not None and scene is not self._now:
             self._see(scene)
         self._move(here, posture)
         if self._done:
@@ -210,7 +211,7 @@ class Controller:
             # A scene that keeps changing does not keep a plan from getting ready.
             self._planned_at = deviation
             if self._is_stale():
-                self._planned = self.scene
+                self._planned = self.scene, self._now
             self._planning = self._new_rests()
         self._plan_until(deadline)
         pilot = self._pilot
@@ -232,7 +233,7 @@ class Controller:
 
     def _is_stale(self) -> bool:
         """Whether the last plan was begun for another scene, or another plan is asked for."""
-        return self._planned is None or not _alike(self._planned, self.scene, _NOISE * self.limit)
+        return self._planned is None or not _alike(self._planned[1], self._now, _NOISE * self.limit)
 
     def _move(self, here: Array, posture: Array | None) -> None:
         """Take note of the position."""
@@ -262,7 +263,7 @@ class Controller:
         way = np.array(self._way)
         if not np.array_equal(way[-1], self._states[-1]):
             way = np.concatenate([way, self._states[-1:]])
-        return self._pilot.rest(0, self._planned or self.scene, way)
+        return self._pilot.rest(0, *(self._planned or (self.scene, self._now)), way)
 
     def _new_rests(self) -> Generator[Path | None, None, Path | None]:
         """New rests of the motion, better and better ones, for where the robot is at the time."""
@@ -337,9 +338,9 @@ class Controller:
 
     def _planes(self) -> Planes | None:
         """Planes between the arm and the obstacles near it."""
-        if self.arm is None or not self.scene.obstacles:
+        if self.arm is None or not self._now.obstacles:
             return None
-        return Planes.of([next(self.arm.nearby(self.scene.obstacles, self._angles[-1][None]))])
+        return Planes.of([next(self.arm.nearby(self._now.obstacles, self._angles[-1][None]))])
 
     def _checked_posture(self, here: Array, joint_angles: ArrayLike | None) -> Array | None:
         """The angles `(J,)` [rad] of the arm with its grasp point `here`."""
@@ -390,8 +391,8 @@ class Controller:
                 f"the target goals[{target}] is {apart:.3g} m from where it was, at most "
                 f"{_JUMP * self.limit:g} m is believed in a step: make a new controller"
             )
-        self._seen, self.scene = scene, scene.starting_at(self._first.scene.start)
-        self._barriers = Barriers.of([self.scene], [target])
+        self._now, self.scene = scene, scene.starting_at(self._first.scene.start)
+        self._barriers = Barriers.of([scene], [target])
 
 
 def _diagonal(dim: int) -> float:
@@ -401,10 +402,10 @@ def _diagonal(dim: int) -> float:
 
 
 def _alike(scene: Scene, other: Scene, tolerance: float) -> bool:
-    """Whether two scenes are built alike, and no number in them differs by more than that."""
+    """Whether two scenes are built alike, and no number but of their starts differs by more."""
     if scene is other:
         return True
-    ours, theirs = (_numbers(s.to_dict()) for s in (scene, other))
+    ours, theirs = (_numbers({**s.to_dict(), "start": []}) for s in (scene, other))
     return ours.keys() == theirs.keys() and all(
         abs(value - theirs[place]) <= tolerance for place, value in ours.items()
     )

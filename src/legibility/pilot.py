@@ -97,12 +97,13 @@ class Pilot:
         self._least = np.where(closer, remaining, self._least)
         self.idle = np.where(closer, 0, self.idle + 1)
 
-    def rest(self, row: int, scene: Scene, states: Array) -> Rest:
+    def rest(self, row: int, scene: Scene, now: Scene, states: Array) -> Rest:
         """What is to be replaced by a new rest of the motion of a robot.
 
         Args:
             row: of the robot.
             scene: as it is now, with the start of the motion.
+            now: the same, whatever its start.
             states: `(T, D)` [m], its positions so far.
         """
         tracker = self.tracker.of(np.array([row]))
@@ -111,7 +112,7 @@ class Pilot:
         size = float(np.linalg.norm(self._sent[row]))
         moving = min(size, float(np.linalg.norm(self.displacements[row]))) > _MOVING * self.limit
         heading = self._sent[row] / size if moving else np.zeros_like(self._sent[row])
-        return Rest(Begun(scene, states, heading), tracker.points(arc)[0], self.paths[row])
+        return Rest(Begun(scene, states, heading), now, tracker.points(arc)[0], self.paths[row])
 
     def take(self, row: int, path: Path, *, fresh: bool) -> None:
         """Let a robot follow a path from where it is; its idle steps count from now if `fresh`.

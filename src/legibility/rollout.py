@@ -233,7 +233,7 @@ class _Run:
         scenes = fleet.scenes if rows else []
         for row in rows:
             states = np.stack([positions[row] for positions in self.states])
-            path = plan(row, pilot.rest(row, scenes[row], states))
+            path = plan(row, pilot.rest(row, scenes[row], scenes[row], states))
             # A robot that leaves every new path as well restarts its stall timer only a few times.
             fresh = bool(moved[row] or self.restarts[row] < RESTARTS)
             pilot.take(row, path, fresh=fresh)

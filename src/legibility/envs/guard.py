@@ -274,7 +274,7 @@ def safe_actions(
         if planes is not None:
             found.append(planes.limits(rows, coasts[rows]))
         normals, offsets = (np.concatenate(x, axis=1) for x in zip(*found, strict=True))
-        box = np.stack([np.maximum(least[rows], -limit), np.minimum(most[rows], limit)])
+        box = np.clip(np.stack([least[rows], most[rows]]), -limit, limit)
         wanted[rows] = _kept_off(wanted[rows], normals, offsets, box)
     return wanted
 

@@ -38,18 +38,21 @@ class Rest:
 
     Attributes:
         begun: the motion so far, its scene as it is now.
+        now: the same scene, whatever its start: where something has come to the motion's start, a
+            scene that starts there keeps clear of less.
         remaining: `(K + 2, D)` [m], what is left of the path followed, to where its goal was.
         path: the path followed; the ℓ asked for, the target and the observer are its own.
     """
 
     begun: Begun
+    now: Scene
     remaining: Array
     path: Path
 
     @cached_property
     def scene(self) -> Scene:
         """The scene from the present position."""
-        return self.begun.scene.starting_at(self.begun.states[-1])
+        return self.now.starting_at(self.begun.states[-1])
 
     def follow(self, waypoints: Array, *, replaced: bool = False) -> Path:
         """The path through `waypoints (K + 2, D)` [m] from here."""
@@ -132,7 +135,7 @@ def continuation(
     """
     begun, target, observer = rest.begun, rest.path.target, rest.path.observer
     scene, level = rest.scene, float(rest.path.legibility)
-    begun.scene.check_target(target)
+    rest.now.check_target(target)
     archive_of = scene_archive if exact else rough_archive
     archive = yield from archive_of.parts(begun.scene, target, observer)
     judge = _Judge(rest, archive, max_detour)
