@@ -28,6 +28,7 @@ from .projection import Begun, headed, projected, smoothed, start_turns
 
 _MISSED, _WAVES, _EXCESS = 0.02, 0.4, 0.01  # faults, as those of a plan
 _LEVELS = np.linspace(-1, 1, 9)  # of the rests drawn
+_TOO_LONG = 100.0  # added to the fault of a motion that is
 _TRIED = 3  # of them, those nearest to the score wanted
 _SPARE = 1.05  # by which a rest may be longer than the straight line if no length is left
 
@@ -226,6 +227,7 @@ class _Judge:
         fault = missed / _MISSED
         for over, allowed in ((waves, _WAVES), (excess, _EXCESS)):
             fault += np.maximum(over / allowed, 0)
+        fault += _TOO_LONG * (excess > _EXCESS)
         return moved, np.where(clear, fault, np.inf)
 
     def _turned(self, paths: Array) -> Array:
