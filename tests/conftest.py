@@ -1,4 +1,3 @@
-import functools
 import os
 import platform
 import re
@@ -35,10 +34,14 @@ def coarsely():
     """Archives are built from fewer curves, for these tests alone."""
     from legibility.motion import archive as archives
 
-    small = functools.partial(archives.build_archive, max_candidates=12_288)
+    built = archives._built
+
+    def small(*args):
+        *start, random, most, patience = (*args, 4096, 65_536, 0.002)[:8]
+        return built(*start, random, min(most, 12_288), patience)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(archives, "build_archive", small)
-        patch.setattr("legibility.data.configuration.build_archive", small)
+        patch.setattr(archives, "_built", small)
         yield
     for cache in (archives.scene_archive, archives._geometry):
         cache.cache_clear()

@@ -6,6 +6,12 @@ from legibility.errors import InvalidSceneError
 from legibility.obstacles import Ball, Box, Polygon
 from legibility.scene import Scene
 
+_START, _GOALS = [-0.2, -0.2, 0.25], [[0.0, 0.15, 0.06], [0.0, -0.1, 0.06]]
+BESIDE = Scene(_START, _GOALS, obstacles=[Ball([-0.1, -0.02, 0.24], 0.04)])
+"""A ball in the way of the Panda's hand, not of its grasp point."""
+OVER = Scene(_START, _GOALS, obstacles=[Ball([0.0, 0.15, 0.2], 0.04)])
+"""A ball over the target, in the way of the Panda's hand there."""
+
 
 def obstacle(rng, dim=2, size=0.15):
     """A random obstacle of the default workspace."""

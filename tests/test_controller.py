@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import room
+from rooms import obstacle, room
 
 import legibility as lg
 from legibility.controller import _alike
@@ -269,6 +269,131 @@ class TestEnds:
         assert not controller.stalled
         controller.step(SCENE.start)
         assert not controller.stalled
+
+
+class Wild:
+    """A driver that commands anything."""
+
+    with_path = True
+
+    def __init__(self, rng):
+        self.rng, self.follow = rng, Feedback()
+
+    def __call__(self, robots):
+        shape = len(robots.rows), 2, robots.positions.shape[1]
+        return [
+            np.full(shape, np.nan), np.full(shape, np.inf), np.full(shape, -1e300),
+            self.rng.normal(0, 1, shape), self.follow(robots),
+        ][self.rng.integers(5)]  # fmt: skip
+
+
+class Toward:
+    """A driver that commands the way to a point."""
+
+    with_path = True
+
+    def __init__(self, point):
+        self.point = np.array(point)
+
+    def __call__(self, robots):
+        return (self.point - robots.positions)[:, None]
+
+
+def gap(scene, points):
+    """Least distance [m] of `points (T, D)` from all that must not be touched."""
+    return scene.solids(0, inflated=False).distance(np.atleast_2d(points)).min()
+
+
+AROUND = (0.1, 0), (-0.1, 0), (0, 0.1), (0, -0.1)
+
+
+class TestSafety:
+    @given(seed=st.integers(0, 10_000), dim=st.sampled_from([2, 3]))
+    @settings(max_examples=14, deadline=None)
+    def test_any_driver_scene_push_and_level(self, models, seed, dim):
+        rng = np.random.default_rng(seed)
+        size = {2: 0.12, 3: 0.06}[dim]
+        scene = room(rng, int(rng.integers(3)), dim, size=size)
+        controller = models[dim].controller(
+            scene, 0, float(rng.uniform(-1, 1)), budget=0, driver=Wild(rng)
+        )
+        position, gain = np.array(scene.start), rng.uniform(0.6, 1)
+        for _ in range(40):
+            event = rng.integers(8)
+            if event == 0:
+                controller.replan(None if rng.random() < 0.5 else float(rng.uniform(-1, 1)))
+            elif event == 1:
+                push = rng.normal(0, 3 * controller.limit, dim)
+                pushed = np.clip(position + push, *scene.workspace)
+                if gap(scene, pushed) > 0 and np.linalg.norm(push) < 9 * controller.limit:
+                    position = pushed
+            elif event == 2:
+                goals = scene.goals + rng.normal(0, controller.limit, scene.goals.shape)
+                solids = (*scene.obstacles, obstacle(rng, dim, size))[-3:]
+                try:
+                    changed = lg.Scene(
+                        position, np.clip(goals, *scene.workspace), None, solids, scene.goal_radius
+                    )
+                except InvalidSceneError:
+                    continue
+                scene = changed if gap(changed, position) > 0 else scene
+            action = controller.step(position, scene)
+            assert np.isfinite(action).all()
+            assert np.abs(action).max() <= controller.limit
+            position = position + gain * action
+            assert scene.contains(position)
+            assert gap(scene, position) >= -1e-9
+        assert controller.posterior.sum() == pytest.approx(1)
+
+    @pytest.mark.parametrize(
+        ("start", "solids"),
+        [
+            ([-0.1, -0.1], [lg.Box([-0.1, -0.1], [0.3, 0.3])]),
+            ([0.2, 0.5], [lg.Ball([0.2 + x, 0.5 + y], 0.16) for x, y in AROUND]),
+        ],
+        ids=["in a corner", "in the open"],
+    )
+    def test_what_comes_to_where_the_motion_began_is_kept_off(self, flat, start, solids):
+        """The robot has left, and is sent back."""
+        scene = lg.Scene(start, SCENE.goals)
+        controller = flat.controller(scene, driver=Toward([0.8, 0.5]), budget=None)
+        position = np.array(scene.start)
+        for _ in range(10):
+            position = position + controller.step(position)
+        changed = lg.Scene([0.9, 0.9], SCENE.goals, obstacles=solids)
+        assert gap(changed, position) > 0.05
+        controller._pilot.driver.point = scene.start
+        for _ in range(20):
+            position = position + controller.step(position, changed)
+            assert gap(changed, position) >= -1e-9
+
+    def test_a_block_that_comes_to_where_the_motion_began_is_kept_off(self, flat):
+        scene = lg.Scene(SCENE.start, SCENE.goals, goal_radius=0.05)
+        controller = flat.controller(scene, driver=Toward([0.8, 0.6]), budget=None)
+        position = np.array(scene.start)
+        for _ in range(6):
+            position = position + controller.step(position)
+        changed = lg.Scene([0.9, 0.9], [SCENE.goals[0], [0.03, 0.5]], goal_radius=0.05)
+        assert gap(changed, position) > 0.05
+        controller._pilot.driver.point = scene.start
+        for _ in range(20):
+            position = position + controller.step(position, changed)
+            assert gap(changed, position) >= -1e-9
+
+    def test_behind_a_wall_it_waits_until_there_is_a_way(self, flat):
+        wall = lg.Box([0.5, 0.5], [0.04, 1.2])
+        walled = lg.Scene(SCENE.start, SCENE.goals, obstacles=[wall])
+        controller, problems = flat.controller(SCENE, 0, 0.5, budget=None), []
+
+        def scene_of(step):
+            problems.append(controller.problem)
+            return walled if 3 <= step < 25 else SCENE
+
+        drive(controller, scene_of)
+        assert "was found from the start" in problems[24]
+        assert gap(walled, controller.states[3:25]) >= -1e-9
+        assert controller.done
+        assert controller.problem is None
 
 
 def test_a_step_is_soon_over(flat):

@@ -57,6 +57,15 @@ class TestPolicy:
         assert drawn(driver, held).shape == (2, 4, 2)
         np.testing.assert_array_equal(drawn(driver, held)[:, :3], drawn(driver, waiting))
 
+    def test_a_robot_of_another_limit_moves_on_the_same_way(self, network):
+        robots, size = states(moved=0.02), 0.4
+        tracker = PathTracker(size * paths(), size * LIMIT, size * WORKSPACE)
+        places = (size * x for x in (robots.positions, robots.previous, robots.goals))
+        small = RobotStates(robots.rows, *places, tracker, robots.idle)
+        chunks = drawn(Policy(network), robots)
+        np.testing.assert_allclose(drawn(Policy(network), small), size * chunks, atol=1e-6)
+        assert np.abs(chunks).max() > 0.01
+
     def test_the_same_state_gives_the_same_actions(self, network):
         driver = Policy(network)
         actions = drawn(driver, states())

@@ -1,6 +1,7 @@
 """Whatever the weights: paths run from the start to the goal and touch nothing."""
 
 import dataclasses
+import functools
 import json
 
 import gymnasium
@@ -9,6 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rooms import BESIDE, OVER, room
 
 import legibility as lg
 from legibility.curves import path_curve
@@ -25,7 +27,8 @@ from legibility.models.pretrained import pretrained_names
 from legibility.models.provenance import TrainingRecord
 from legibility.modulator import Modulator
 from legibility.motion import archive
-from legibility.motion.path import Path
+from legibility.motion.path import Path, straight_waypoints
+from legibility.robots.arm import PANDA, checked_points
 
 torch.set_num_threads(1)
 
@@ -338,11 +341,13 @@ class TestCandidates:
     def test_archive_is_built_once_and_only_if_needed(self, monkeypatch):
         built = []
 
-        def build(scene, target=0, **options):
-            built.append((scene, target))
-            return lg.build_archive(scene, target, **options)
+        make_archive = archive._built
 
-        monkeypatch.setattr("legibility.motion.archive.build_archive", build)
+        def build(scene, target, *args):
+            built.append((scene, target))
+            return make_archive(scene, target, *args)
+
+        monkeypatch.setattr(archive, "_built", build)
         for cache in (archive.scene_archive, archive._geometry):
             cache.cache_clear()
         model = make()
@@ -434,6 +439,136 @@ class TestOptions:
         other = SCENES[5 - modulator.config.dim]
         with pytest.raises(InvalidSceneError, match=r"the model tiny plans in .D, the scene is .D"):
             modulator.plan(other)
+
+
+class TestMaxDetour:
+    """No motion is longer than that times the shortest."""
+
+    @pytest.mark.parametrize("scenes", [SCENES, BLOCKED], ids=["free", "blocked"])
+    @pytest.mark.parametrize("options", [{}, {"exact": True}, {"num_candidates": 3}], ids=str)
+    def test_is_kept(self, modulator, scenes, options):
+        scene = scenes[modulator.config.dim]
+        shortest = archive.shortest_curve(scene, 0)[1]
+        assert modulator.plan(scene, 0, LEVELS, **options).length.max() > 1.5 * shortest
+        for detour in (1.05, 1.3):
+            path = modulator.plan(scene, 0, LEVELS, max_detour=detour, **options)
+            assert (path.length <= detour * shortest * (1 + 1e-6)).all()
+            assert path.feasible.all()
+
+    @given(
+        st.integers(0, 999), st.sampled_from([2, 3]), st.floats(1.05, 3), st.floats(-1, 1),
+        st.integers(0, 2),
+    )  # fmt: skip
+    @settings(max_examples=15, deadline=None)
+    def test_is_kept_in_any_room(self, seed, dim, detour, level, obstacles):
+        scene = room(np.random.default_rng(seed), obstacles, dim, size={2: 0.12, 3: 0.06}[dim])
+        try:
+            shortest = archive.shortest_curve(scene, 0)[1]
+        except InvalidSceneError:
+            return
+        (path,) = make(dim).plan_many([scene], 0, level, seed=seed, max_detour=detour)
+        assert path.length <= detour * shortest * (1 + 1e-6)
+        assert path.feasible
+
+    def test_of_1_is_the_straight_line(self, modulator, scene):
+        path = modulator.plan(scene, 0, LEVELS, max_detour=1)
+        line = straight_waypoints(scene.start, scene.goals[0])
+        np.testing.assert_allclose(path.waypoints, np.stack([line] * len(LEVELS)), atol=1e-3)
+
+    def test_of_1_is_the_shortest_motion_past_an_obstacle(self, modulator):
+        scene = BLOCKED[modulator.config.dim]
+        path = modulator.plan(scene, 0, LEVELS, max_detour=1)
+        assert path.feasible.all()
+        assert (path.length <= archive.shortest_curve(scene, 0)[1] * (1 + 1e-6)).all()
+
+    def test_levels_are_met_as_nearly_as_it_allows(self, modulator, scene):
+        levels = np.array([-0.8, -0.4, 0.4, 0.8])
+        errors = [
+            np.abs(modulator.plan(scene, 0, levels, max_detour=detour).achieved - levels)
+            for detour in (1.05, 1.3, None)
+        ]
+        assert errors[0].mean() > errors[1].mean() > errors[2].mean()
+        assert (errors[0] < np.abs(levels)).all()  # nearer than the straight line
+
+    def test_as_long_as_any_changes_nothing(self, modulator, scene):
+        plain = modulator.plan(scene, 0, LEVELS)
+        path = modulator.plan(scene, 0, LEVELS, max_detour=5)
+        np.testing.assert_array_equal(path.waypoints, plain.waypoints)
+
+    @pytest.mark.parametrize("wrong", [0.99, 0, -1, np.nan, np.inf, "short", [1.2]], ids=str)
+    def test_refuses(self, flat, wrong):
+        for plan in (
+            functools.partial(flat.plan, SCENES[2]), functools.partial(flat.plan_many, [SCENES[2]])
+        ):  # fmt: skip
+            with pytest.raises(InvalidInputError, match="max_detour must be"):
+                plan(max_detour=wrong)
+
+    def test_paths_are_refined(self, flat):
+        with pytest.raises(InvalidInputError, match="leave refine as it is"):
+            flat.plan(SCENES[2], max_detour=1.2, refine=False)
+
+
+class TestArm:
+    """The whole arm keeps off."""
+
+    @pytest.fixture
+    def solid(self):
+        for extra in ("mujoco", "mink"):
+            pytest.importorskip(extra, reason="plans of an arm are NOT TESTED")
+        return make(3)
+
+    @staticmethod
+    def gaps(path):
+        """Least gap [m] between the Panda and the obstacles on the path of each level."""
+        obstacles = path.scene.obstacles
+        return np.array([
+            PANDA.obstacle_gaps(obstacles, PANDA.postures(checked_points(curve))).min()
+            for curve in path.trajectory()
+        ])  # fmt: skip
+
+    def test_of_every_level(self, solid):
+        levels = [-0.8, 0.0, 0.5]
+        path = solid.plan(BESIDE, 0, levels, arm="panda")
+        assert (self.gaps(path) > 0).all()
+        np.testing.assert_array_equal(path.legibility, levels)
+        assert path.feasible.all()
+        assert path.waypoints.shape == (3, 10, 3)
+        assert (self.gaps(solid.plan(BESIDE, 0, levels)) < 0).any()
+
+    def test_a_number_is_a_level(self, solid):
+        path = solid.plan(BESIDE, 0, 0.0, arm=PANDA)
+        assert path.waypoints.shape == (10, 3)
+        assert path.legibility == 0
+        assert path.replaced.shape == ()
+        batch = solid.plan(BESIDE, 0, [0.0], arm="panda")
+        np.testing.assert_array_equal(batch.waypoints[0], path.waypoints)
+
+    def test_without_obstacles_it_changes_nothing(self, solid):
+        plain = solid.plan(SCENES[3], 0, LEVELS)
+        path = solid.plan(SCENES[3], 0, LEVELS, arm="panda")
+        np.testing.assert_array_equal(path.waypoints, plain.waypoints)
+
+    def test_max_detour_is_kept(self, solid):
+        path = solid.plan(BESIDE, 0, [-0.8, 0.0, 0.5], arm="panda", max_detour=1.3)
+        assert (self.gaps(path) > 0).all()
+        assert (path.length <= 1.3 * archive.shortest_curve(BESIDE, 0)[1] * (1 + 1e-6)).all()
+
+    def test_what_it_touches_at_the_target_is_named(self, solid):
+        with pytest.raises(InvalidSceneError, match=r"at the target .* touches obstacles\[0\]"):
+            solid.plan(OVER, 0, 0.0, arm="panda")
+
+    @pytest.mark.parametrize(
+        ("arm", "match"),
+        [
+            ("ur5e", "arm must be one of panda, .* got 'ur5e'"),
+            (7, r"arm must be a legibility\.Arm or a name, got 7"),
+            (PANDA, "an arm moves in 3-D, the scene is 2-D"),
+        ],
+        ids=str,
+    )
+    def test_refuses(self, flat, arm, match):
+        with pytest.raises(InvalidInputError, match=match):
+            flat.plan(SCENES[2], arm=arm)
 
 
 class TestPretrained:

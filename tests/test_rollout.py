@@ -210,36 +210,56 @@ class TestReasons:
 
 
 class TestReplanning:
-    def straight(self, fleet):
+    def straight(self):
         """A planner of straight lines, and the calls to it."""
         calls = []
 
-        def plan(rows, positions):
-            calls.append((rows, positions))
-            return [
-                bent(lg.Scene(x, fleet.scenes[row].goals), 0)
-                for row, x in zip(rows, positions, strict=True)
-            ]
+        def plan(row, rest):
+            calls.append((row, rest))
+            return bent(lg.Scene(rest.begun.states[-1], rest.begun.scene.goals), 0)
 
         return plan, calls
 
     def test_after_a_push(self):
         fleet, paths = robots(push=0.1)
-        plan, calls = self.straight(fleet)
+        plan, calls = self.straight()
         rollouts = follow(fleet, paths, Feedback(), replan=plan, tolerance=0.05)
         check_safe(rollouts)
         assert all(r.success for r in rollouts)
         assert calls
-        assert sum(len(r.replans) for r in rollouts) == sum(len(rows) for rows, _ in calls)
+        for row, rollout in enumerate(rollouts):
+            assert len(rollout.replans) == sum(row == other for other, _ in calls)
 
     def test_when_the_goal_moves(self):
         fleet, paths = robots(shift=0.1)
-        plan, _ = self.straight(fleet)
+        plan, _ = self.straight()
         rollouts = follow(fleet, paths, Feedback(), replan=plan, tolerance=0.05)
         assert all(r.success for r in rollouts)
         assert all(len(r.replans) >= 1 for r in rollouts)
         fleet, paths = robots(shift=0.1)
         assert not all(r.success for r in follow(fleet, paths, Feedback()))
+
+    @pytest.mark.parametrize("options", [{"push": 0.1}, {"shift": 0.1}], ids=str)
+    def test_the_planner_is_told_of_the_motion_so_far(self, options):
+        fleet, paths = robots(**options)
+        plan, calls = self.straight()
+        rollouts = follow(fleet, paths, Feedback(), replan=plan, tolerance=0.05)
+        told = dict(reversed(calls))  # the first of each robot
+        assert len(told) > 3
+        for row, rest in told.items():
+            rollout, path = rollouts[row], paths[row]
+            steps = rollout.replans[0]
+            np.testing.assert_array_equal(rest.begun.scene.goals, fleet.scenes[row].goals)
+            np.testing.assert_array_equal(rest.begun.scene.start, path.scene.start)
+            np.testing.assert_array_equal(rest.begun.states, rollout.states[: steps + 1])
+            sent = rollout.actions[steps - 1]
+            assert rest.begun.heading == pytest.approx(sent / np.linalg.norm(sent))
+            assert rest.path is path
+            # What is left of the path lies on it.
+            curve = np.clip(path.trajectory(2000), *path.scene.workspace)
+            apart = np.linalg.norm(curve - rest.remaining[:, None], axis=-1).min(1)
+            assert apart.max() < 2e-3
+            assert rest.remaining[-1] == pytest.approx(path.waypoints[-1])
 
     def test_not_without_a_reason(self):
         fleet, paths = robots()

@@ -4,22 +4,22 @@ import dataclasses
 
 import numpy as np
 import pytest
+from rooms import BESIDE, OVER
 
 import legibility as lg
 from legibility.drivers import Feedback
 from legibility.envs.block_reach_2d import BlockReach2DVector
 from legibility.envs.fleet import Fleet
-from legibility.errors import InvalidSceneError
+from legibility.errors import InvalidInputError, InvalidSceneError
 from legibility.motion.path import Path, straight_waypoints
 from legibility.obstacles import Ball
+from legibility.parts import finished
+from legibility.robots.arm import PANDA
 from legibility.rollout import follow
-from legibility.whole_arm import MARGIN, arm_can_pass, drawn_off_obstacles, paths_off_obstacles
+from legibility.whole_arm import MARGIN, arm_can_pass, checked_arm, keeps_off, paths_off_obstacles
 
 OBSERVER = lg.Observer()
 PLANE = lg.Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[Ball([0.5, 0.9], 0.1)])
-START, GOALS = [-0.2, -0.2, 0.25], [[0.0, 0.15, 0.06], [0.0, -0.1, 0.06]]
-BESIDE = lg.Scene(START, GOALS, obstacles=[Ball([-0.1, -0.02, 0.24], 0.04)])  # in the hand's way
-OVER = lg.Scene(START, GOALS, obstacles=[Ball([0.0, 0.15, 0.2], 0.04)])  # over the target
 
 
 def straight(scene):
@@ -27,56 +27,81 @@ def straight(scene):
     return Path.through(line, scene, 0, np.array(0.0), OBSERVER)
 
 
+def least_gap(points, scene):
+    """Least gap [m] between the Panda and obstacles with its grasp point at `points (P, 3)`."""
+    return PANDA.obstacle_gaps(scene.obstacles, PANDA.postures(points)).min()
+
+
 class TestDrawnAgain:
-    class Arms:
-        """Three robots; the arm of robot 1 touches on its first paths."""
+    class Touching:
+        """An arm that touches an obstacle on the first `times` paths on which it is checked."""
 
-        size, positions, joint_angles = 3, np.zeros((3, 2)), np.zeros((3, 7))
+        def __init__(self, times):
+            self.left = times
 
-        def __init__(self, touching, scene=PLANE):
-            self.scenes, self.touching, self.asked = [scene] * 3, touching, []
+        def postures(self, points, near=None):
+            return np.zeros((len(points), 7))
 
-        def plan(self, rows, positions, seed):
-            assert len(positions) == len(rows)
-            self.asked.append((rows, seed))
-            return [straight(self.scenes[0]) for _ in rows]
+        def obstacle_gaps(self, obstacles, angles):
+            return np.full(len(angles), -0.01 if self.left > 0 else 0.1)
 
-        def arm_gaps(self, trajectory, row):
-            touches = row == 1 and len(self.asked) <= self.touching
-            return trajectory, np.full(len(trajectory), -0.01 if touches else np.inf)
-
-        def arm_touches(self, position, row):
+        def touches(self, obstacles, position):
             return []
+
+    class Planner:
+        """Plans straight lines and counts them as checks of the arm of robot 1."""
+
+        def __init__(self, times, scene=PLANE):
+            touching = TestDrawnAgain.Touching(times + 1)
+            self.arms, self.scene, self.asked = [None, touching, None], scene, []
+
+        def __call__(self, rows, seed):
+            self.asked.append((rows, seed))
+            self.arms[1].left -= 1
+            return [straight(self.scene) for _ in rows]
 
     @pytest.mark.parametrize("touching", [0, 1, 3])
     def test_only_what_touches_is_drawn_again_by_another_seed(self, touching):
-        arms = self.Arms(touching)
-        paths = paths_off_obstacles(arms, arms.plan, 5)
+        plan = self.Planner(touching)
+        paths = paths_off_obstacles(plan.arms, plan, 5)
         assert not any(path.replaced for path in paths)
-        assert [rows for rows, _ in arms.asked] == [[0, 1, 2]] + [[1]] * touching
-        seeds = [seed for _, seed in arms.asked]
+        assert [rows for rows, _ in plan.asked] == [[0, 1, 2]] + [[1]] * touching
+        seeds = [seed for _, seed in plan.asked]
         assert len({*seeds}) == len(seeds)
-
-    def test_the_rest_of_a_motion_is_not_refused(self):
-        arms = self.Arms(99)
-        found = drawn_off_obstacles(arms, arms.plan, [1, 2], np.zeros((2, 2)), 5)
-        assert len(found) == 2
-        assert [rows for rows, _ in arms.asked] == [[1, 2], [1], [1], [1]]
 
     def test_without_a_free_path_it_is_refused(self, monkeypatch):
         monkeypatch.setattr("legibility.whole_arm._free_curves", lambda *_, **__: iter(()))
-        arms = self.Arms(99)
+        plan = self.Planner(99)
         with pytest.raises(InvalidSceneError, match=r"cannot pass .* to the target goals\[0\]"):
-            paths_off_obstacles(arms, arms.plan, 5)
+            paths_off_obstacles(plan.arms, plan, 5)
 
     def test_without_obstacles_nothing_is_checked(self):
-        arms = self.Arms(99, dataclasses.replace(PLANE, obstacles=()))
-        assert len(paths_off_obstacles(arms, arms.plan, 5)) == 3
-        assert len(arms.asked) == 1
+        plan = self.Planner(99, dataclasses.replace(PLANE, obstacles=()))
+        assert len(paths_off_obstacles(plan.arms, plan, 5)) == 3
+        assert len(plan.asked) == 1
 
 
 def test_a_point_passes():
-    assert arm_can_pass(BlockReach2DVector, PLANE, OBSERVER)
+    assert arm_can_pass(BlockReach2DVector.arm, PLANE, OBSERVER)
+    assert finished(keeps_off(None, straight(PLANE)))
+
+
+class TestCheckedArm:
+    def test_an_arm_or_its_name(self):
+        assert checked_arm(None, 2) is checked_arm(None, 3) is None
+        assert checked_arm("panda", 3) is checked_arm(PANDA, 3) is PANDA
+
+    @pytest.mark.parametrize(
+        ("arm", "dim", "match"),
+        [
+            ("ur5e", 3, "arm must be one of panda, .* got 'ur5e'"),
+            (3, 3, r"arm must be a legibility\.Arm or a name, got 3"),
+            ("panda", 2, "an arm moves in 3-D, the scene is 2-D"),
+        ],
+    )
+    def test_refuses(self, arm, dim, match):
+        with pytest.raises(InvalidInputError, match=match):
+            checked_arm(arm, dim)
 
 
 class TestPanda:
@@ -97,11 +122,12 @@ class TestPanda:
         env, fleet = self.fleet(kind, BESIDE)
         line = straight(BESIDE)
         assert line.feasible
-        assert fleet.arm_gaps(line.trajectory(), 0)[1].min() < 0
-        paths = paths_off_obstacles(fleet, lambda rows, *_: [line] * len(rows), 0)
+        assert not finished(keeps_off(PANDA, line))
+        paths = paths_off_obstacles(fleet.arms, lambda rows, *_: [line] * len(rows), 0)
         assert paths[0].replaced
         assert paths[0].feasible
-        assert fleet.arm_gaps(paths[0].trajectory(), 0)[1].min() > MARGIN / 2
+        assert finished(keeps_off(PANDA, paths[0]))
+        assert least_gap(paths[0].trajectory(), BESIDE) > MARGIN / 2
         assert abs(paths[0].achieved) < 0.5
         (rollout,) = follow(fleet, paths, Feedback())
         assert rollout.success
@@ -118,9 +144,9 @@ class TestPanda:
     def test_what_touches_at_the_target_is_named(self, kind):
         env, fleet = self.fleet(kind, OVER)
         with pytest.raises(InvalidSceneError, match=r"at the target .* touches obstacles\[0\]"):
-            paths_off_obstacles(fleet, lambda rows, *_: [straight(OVER)] * len(rows), 0)
+            paths_off_obstacles(fleet.arms, lambda rows, *_: [straight(OVER)] * len(rows), 0)
         env.close()
 
     def test_scenes_that_it_can_pass(self, kind):
-        assert arm_can_pass(kind, BESIDE, OBSERVER)
-        assert not arm_can_pass(kind, OVER, OBSERVER)
+        assert arm_can_pass(kind.arm, BESIDE, OBSERVER)
+        assert not arm_can_pass(kind.arm, OVER, OBSERVER)

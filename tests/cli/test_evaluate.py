@@ -71,7 +71,7 @@ def test_execution(here, executable, one_thread, cli, capsys):
     content = json.loads(Path("e.json").read_text())
     assert content["config"] == {
         "scenes": 1, "regime": "dragan", "goals": [2, 3], "seed": 1, "rollouts": 3,
-        "disturbance": None, "env": None,
+        "disturbance": None, "env": None, "arm": None,
     }  # fmt: skip
     for name, row in content["result"]["rows"].items():
         assert ROWS[name].text in text
@@ -150,7 +150,7 @@ def test_single_scene(here, cli, one_thread, monkeypatch, capsys):
     tried = {"guidance": (2.0,), "guidance_decay": (0.5,), "guidance_share": (1.0,)}
     monkeypatch.setattr("legibility.evaluation.single_scene.GUIDANCE", tried)
     monkeypatch.setattr("legibility.evaluation.single_scene.OWN_GUIDANCE", (0.0,))
-    monkeypatch.setattr("legibility.rollout._PATIENCE", 0.25)
+    monkeypatch.setattr("legibility.rollout.PATIENCE", 0.25)
     flags = "--rollouts 2 --demonstrations 4 --training-steps 2 --batch 8 --tuning-rollouts 1"
     words = f"evaluate single-scene {flags} --seed 3 --out runs --json single-scene-2d.json"
     assert cli(words) == 0

@@ -59,7 +59,8 @@ def test_report(executed):
     assert content["seed"] == 4
     assert content["config"] == {
         "env": "BlockReach2D", "target": 1, "legibility": [-1, 0, 1], "replan": True,
-        "observer": lg.Observer().to_dict(), "exact": False, "refine": True, "num_candidates": 1,
+        "observer": lg.Observer().to_dict(), "exact": False, "refine": True,
+        "max_detour": None, "num_candidates": 1,
         "noise": 0.001, "push": 0.1, "shift": 0,
     }  # fmt: skip
     result = content["result"]

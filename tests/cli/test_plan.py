@@ -33,8 +33,8 @@ def test_report(planned, weights):
     assert content["seed"] == 4
     assert content["config"] == {
         "target": 0, "legibility": [-1, 0, 1, -0.5], "observer": lg.Observer().to_dict(),
-        "exact": False, "refine": True, "num_candidates": 3, "guidance": 0.5, "steps": 3,
-        "points": 30,
+        "exact": False, "refine": True, "max_detour": None, "num_candidates": 3, "guidance": 0.5,
+        "steps": 3, "points": 30,
     }  # fmt: skip
     paths = content["result"]["paths"]
     assert [path["legibility"] for path in paths] == [-1, 0, 1, -0.5]
@@ -81,6 +81,17 @@ def test_levels_by_default(here, weights, cli, capsys):
     for level in ("-1.000", "0.000", "1.000"):
         assert level in text
     assert not list(here.glob("*.json"))
+
+
+def test_max_detour(here, weights, cli, capsys):
+    words = "plan scene.yaml --legibility -1 1 --max-detour 1.1 --json p.json --model"
+    assert cli(words, weights) == 0
+    content = json.loads(Path("p.json").read_text())
+    assert content["config"]["max_detour"] == 1.1
+    assert max(path["detour"] for path in content["result"]["paths"]) <= 1.1 * (1 + 1e-6)
+    capsys.readouterr()
+    assert cli("plan scene.yaml --max-detour 0.9 --model", weights) == 2
+    assert "max_detour must be a number of at least 1, got 0.9" in capsys.readouterr().err
 
 
 def test_full_disk_leaves_nothing(here, weights):

@@ -14,6 +14,7 @@ from legibility.envs import ENVIRONMENTS, vector_type
 from legibility.envs.arm import ArmVector
 from legibility.errors import InvalidInputError, InvalidSceneError
 from legibility.obstacles import Ball, Box
+from legibility.robots.arm import checked_points
 
 SCENE = Scene([-0.2, -0.1, 0.3], [[0, 0.15, 0.02], [0, -0.1, 0.06]])
 NEEDS = {"panda": ("mujoco", "mink"), "pandagym": ("panda_gym",)}
@@ -160,15 +161,15 @@ class TestEpisodes:
         assert solid.signed_distance(line).min() > 0.1
         env = vector(2)
         env.reset(seed=0, options={"scene": [scene, SCENE]})
-        points, gaps = env.arm_gaps(line, 0)
+        points = checked_points(line)
         assert points[[0, -1]] == pytest.approx(line[[0, -1]])
+        gaps = env.arm.obstacle_gaps(scene.obstacles, env.arm.postures(points))
         assert 0 < (gaps < 0).sum() < 20
-        assert (env.arm_gaps(line, 1)[1] == np.inf).all()
         touching = points[gaps.argmin()]
-        assert env.arm_touches(touching, 0) == [("link4", 0)]
-        assert env.arm_touches(touching, 1) == []
-        with pytest.raises(InvalidInputError, match="trajectory"):
-            env.arm_gaps([line])
+        assert env.arm.touches(scene.obstacles, touching) == [("link4", 0)]
+        assert env.arm.touches(SCENE.obstacles, touching) == []
+        with pytest.raises(InvalidInputError, match="position must have 1 axes"):
+            env.arm.touches(scene.obstacles, line)
 
     def test_planes_stand_before_the_arm(self, vector):
         solid = Ball([-0.2, 0.05, 0.37], 0.04)  # beside the hand
@@ -183,7 +184,7 @@ class TestEpisodes:
         assert np.linalg.norm(normals[0, nearest]) == pytest.approx(1)
         assert normals[0, nearest, 1] < 0  # away from the ball, on its left
         away = SCENE.start + np.outer([0, 0.01], normals[0, nearest])
-        moved = env.arm_gaps(away, 0)[1]
+        moved = env.arm.obstacle_gaps(scene.obstacles, env.arm.postures(away))
         assert moved[-1] - moved[0] == pytest.approx(0.01, abs=2e-3)
 
     def test_arms_in_obstacles_are_counted(self, vector):

@@ -52,6 +52,20 @@ def test_a_guarded_robot_never_touches_a_wall(seed, wild, extreme):
         assert ((env.positions >= LOW) & (env.positions <= HIGH)).all()
 
 
+@given(st.integers(0, 10_000))
+@settings(max_examples=50, deadline=None)
+def test_after_a_push_actions_are_within_the_limit(seed):
+    """However far the robot was pushed in the last step, beside an obstacle at a wall too."""
+    rng = np.random.default_rng(seed)
+    position, push = rng.uniform(LOW, HIGH), rng.normal(0, 0.3, 2)
+    solid = Ball(position + rng.uniform(-0.1, 0.1, 2), 0.02)
+    scene = Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=[solid])
+    wanted, beside = rng.normal(0, 0.1, (1, 2)), Barriers.of([scene], [0])
+    for barriers in (None, beside):
+        sent = safe(wanted, position[None], push[None], barriers=barriers)
+        assert (np.abs(sent) <= LIMIT).all()
+
+
 @pytest.mark.parametrize("lag", [0.0, 0.3])
 def test_a_wall_can_be_reached(lag):
     env = BlockReach2DVector(1)

@@ -35,7 +35,7 @@ def small():
         patch.setattr(f"{module}.GUIDANCE", tried)
         patch.setattr(f"{module}.OWN_GUIDANCE", OWN_GUIDANCE)
         patch.setattr(f"{module}.EXECUTE", (1,))
-        patch.setattr("legibility.rollout._PATIENCE", 0.25)  # of robots that have learned nothing
+        patch.setattr("legibility.rollout.PATIENCE", 0.25)  # of robots that have learned nothing
         yield
     torch.set_num_threads(threads)
 

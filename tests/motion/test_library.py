@@ -18,6 +18,7 @@ from legibility.motion.bezier import bezier_trajectories, crosses_itself
 from legibility.motion.curve_grid import free
 from legibility.motion.library import curve_library, make_library
 from legibility.motion.rough_archive import rough_archive
+from legibility.parts import cached_parts, finished
 
 OBSERVER = Observer()
 SCENE = Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], [[-3, -3], [4, 4]])
@@ -115,10 +116,11 @@ class TestRoughArchive:
         things = [Box([0.5, 0.75], [0.1, 0.7]), Ball([0.3, 0.3], 0.12), Ball([0.75, 0.3], 0.1)]
         tight = Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]], obstacles=things)
         assert error(tight) < 0.2  # 0.29 without
-        found = rough_archive.__wrapped__(tight, 0, OBSERVER)
+        found = finished(rough_archive.__wrapped__(tight, 0, OBSERVER))
         monkeypatch.setattr(rough_archives, "_FEW", 0.0)
-        monkeypatch.setattr(rough_archives, "_geometry", rough_archives._geometry.__wrapped__)
-        ready_made = rough_archive.__wrapped__(tight, 0, OBSERVER)
+        unsearched = cached_parts(maxsize=1)(rough_archives._geometry.__wrapped__)
+        monkeypatch.setattr(rough_archives, "_geometry", unsearched)
+        ready_made = finished(rough_archive.__wrapped__(tight, 0, OBSERVER))
         assert len(found) > 1.5 * len(ready_made)
 
     def test_a_search_goes_on_from_the_shortest_curve_alone(self):
@@ -138,9 +140,9 @@ def test_a_search_for_the_shortest_curve_that_the_library_does_not_help(monkeypa
         curve_library(2, OBSERVER.detour),
         controls=np.tile([[[0, 0], [9, 9], [9, 9], [1, 0]]], (256, 1, 1)),
     )
-    helped = archive.shortest_curve.__wrapped__(BARRED, 0)
+    helped = finished(archive.shortest_curve.__wrapped__(BARRED, 0))
     monkeypatch.setattr(
         archive, "curve_library", lambda *_: dataclasses.replace(empty, cells=np.arange(256))
     )
-    alone = archive.shortest_curve.__wrapped__(BARRED, 0)
+    alone = finished(archive.shortest_curve.__wrapped__(BARRED, 0))
     assert alone[1] == pytest.approx(helped[1], rel=0.01)

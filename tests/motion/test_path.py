@@ -113,6 +113,18 @@ def test_rows_are_paths():
         assert path.observer is paths.observer
 
 
+def test_paths_are_rows():
+    paths = through(
+        np.stack([bent(SCENES[2], 0.05, seed) for seed in range(3)]), SCENES[2],
+        legibility=[-1.0, 0.0, 1.0],
+    )  # fmt: skip
+    joined = Path.of([paths[i] for i in (2, 0, 1)])
+    for i, row in enumerate((2, 0, 1)):
+        for name in ("waypoints", "legibility", "replaced", "score"):
+            np.testing.assert_array_equal(getattr(joined[i], name), getattr(paths[row], name))
+    assert (joined.scene, joined.target, joined.observer) == (SCENES[2], 0, OBSERVER)
+
+
 def test_levels_are_counted():
     scene = SCENES[2]
     path = through(np.stack([bent(scene, 0.02)] * 3), scene, legibility=[-1, 0, 1])
@@ -139,11 +151,12 @@ class TestArchive:
             def seen_by(self, observer):
                 return Built()
 
-        def build(*args, observer):
-            calls.append((*args, observer.detour))
+        def build(scene, target, observer, *_):
+            calls.append((scene, target, observer.detour))
+            yield
             return Built()
 
-        monkeypatch.setattr(archive, "build_archive", build)
+        monkeypatch.setattr(archive, "_built", build)
         for cache in (archive.scene_archive, archive._geometry):
             cache.cache_clear()
         yield calls
@@ -170,5 +183,5 @@ class TestArchive:
     def test_only_the_last_are_kept(self, built):
         for seed in range(80):
             archive.scene_archive(lg.Scene.random(np.random.default_rng(seed)), 0, OBSERVER)
-        assert archive.scene_archive.cache_info().currsize == 64
-        assert archive._geometry.cache_info().currsize == 32
+        assert len(archive.scene_archive) == 64
+        assert len(archive._geometry) == 32
