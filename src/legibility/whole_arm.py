@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .checks import Array
-from .curves import NUM_WAYPOINTS
+from .curves import NUM_WAYPOINTS, arc_length
 from .errors import InvalidInputError, InvalidSceneError
 from .intent.observer import Observer
 from .motion.archive import scene_archive
@@ -52,11 +52,13 @@ def checked_arm(arm: Arm | str | None, dim: int) -> Arm | None:
     return arm
 
 
-def paths_off_obstacles(arms: Sequence[Arm | None], plan: Plan, seed: int) -> list[Path]:
+def paths_off_obstacles(
+    arms: Sequence[Arm | None], plan: Plan, seed: int, max_detour: float | None = None
+) -> list[Path]:
     """A path for each robot on which no link of its arm touches an obstacle.
 
-    Where all that are drawn touch, the archive's curve of the nearest label stands in, and the
-    path is marked as `replaced`.
+    Where all that are drawn touch, the archive's curve of the nearest label stands in, none longer
+    than `max_detour` times the shortest, and the path is marked as `replaced`.
 
     Raises:
         InvalidSceneError: there is none.
@@ -70,7 +72,7 @@ def paths_off_obstacles(arms: Sequence[Arm | None], plan: Plan, seed: int) -> li
         for row, path in zip(left, plan(left, seed ^ (draw << 32)), strict=True):
             paths[row] = path
     for row in left:
-        paths[row] = _from_archive(arms[row], paths[row])
+        paths[row] = _from_archive(arms[row], paths[row], max_detour)
     return paths
 
 
@@ -130,7 +132,7 @@ def _clear(gaps: Array) -> bool:
     return bool(gaps.min() > 0 and gaps.min() >= _needed(gaps))
 
 
-def _from_archive(arm: Arm | None, path: Path) -> Path:
+def _from_archive(arm: Arm | None, path: Path, max_detour: float | None) -> Path:
     """The archive's curve of the nearest label on which the arm touches nothing."""
     assert arm is not None, "a point touches nothing"
     for name, point in (("start", path.waypoints[0]), ("target", path.waypoints[-1])):
@@ -141,16 +143,19 @@ def _from_archive(arm: Arm | None, path: Path) -> Path:
                 f"{point.tolist()} its {link} touches obstacles[{obstacle}], "
                 f"{path.scene.obstacles[obstacle]!r}"
             )
-    for free in _free_curves(arm, path, thorough=True):
+    for free in _free_curves(arm, path, max_detour, thorough=True):
         return free
+    within = "" if max_detour is None else f" within max_detour {max_detour:g}"
     raise InvalidSceneError(
-        f"the arm cannot pass the obstacles to the target goals[{path.target}]: of the "
+        f"the arm cannot pass the obstacles to the target goals[{path.target}]{within}: of the "
         f"{len(path.archive)} curves of the archive none was found on which all its links keep off "
         "them"
     )
 
 
-def _free_curves(arm: Arm, path: Path, *, thorough: bool) -> Iterator[Path]:
+def _free_curves(
+    arm: Arm, path: Path, max_detour: float | None = None, *, thorough: bool
+) -> Iterator[Path]:
     """The archive's curves on which the arm touches nothing, that of the nearest label first.
 
     The hand does not turn, so a curve that comes nearer to a point in contact than the contact is
@@ -160,7 +165,8 @@ def _free_curves(arm: Arm, path: Path, *, thorough: bool) -> Iterator[Path]:
     archive = scene_archive(path.scene, path.target, path.observer)
     order = np.argsort(np.abs(archive.labels - float(path.legibility)), kind="stable")
     curves = archive.trajectories[order]
-    left = np.ones(len(order), dtype=bool)
+    longest = np.inf if max_detour is None else max_detour * archive.shortest_length
+    left = arc_length(curves) <= longest
     skipped = np.zeros(len(order), dtype=bool)
 
     def free(index: int) -> Path | None:
