@@ -435,7 +435,7 @@ class Modulator:
         dt: float | None = None,
         max_displacement: float | None = None,
         tolerance: float | None = None,
-        budget: float | None = 0.003,
+        budget: float | None = 0.002,
         seed: int | None = 0,
         observer: Observer | None = None,
         exact: bool = False,

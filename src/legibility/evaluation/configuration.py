@@ -217,7 +217,7 @@ class ControllerConfig(HeldOutScenes):
 
     scenes: int = 200
     dt: float | None = None
-    budget: float = 0.003
+    budget: float = 0.002
     backend: str = "torch"
 
     def __post_init__(self) -> None:
