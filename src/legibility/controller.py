@@ -49,10 +49,10 @@ class Controller:
     """Moves one robot to its goal with the ℓ asked for; `Modulator.controller` makes one.
 
     Call `step` once every `dt` with the robot's position, and send it the displacement returned.
-    When the robot is off its path, or the scene has changed, the rest of the motion is planned
-    anew, a part of the work in each step; until it is ready the robot goes on as it was, off
-    whatever is in the way. A new rest sets out in the direction of motion, and ℓ is that of the
-    whole motion, what is already executed included.
+    When the robot is off its path, or the scene has changed, the rest of the motion is replanned, a
+    part of the work in each step. Meanwhile the robot follows its old path and keeps off obstacles.
+    A new rest sets out in the direction of motion, and ℓ is that of the whole motion, including the
+    part already executed.
 
     Attributes:
         scene: as it is now, with the start of the motion.
@@ -222,7 +222,7 @@ class Controller:
         return self._action @ self._base.base_to_world if self._base else self._action.copy()
 
     def replan(self, legibility: float | None = None) -> None:
-        """Plan the rest of the motion anew from the next step on, for another ℓ if one is given."""
+        """Replan the rest of the motion from the next step on, for another ℓ if one is given."""
         if legibility is not None:
             level = legibility_levels(legibility)
             if level.ndim:

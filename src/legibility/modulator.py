@@ -168,7 +168,7 @@ class Modulator:
                 are returned, feasible or not.
             max_detour: longest path over the shortest feasible one, from 1 on: a level that takes
                 a longer one is met as nearly as it allows. Past an obstacle the shortest path,
-                which keeps a little more clear than the shortest curve, is up to 2 % longer.
+                which keeps a little more clear than the shortest curve, is a little longer.
             num_candidates: paths drawn for each ℓ, of which the one whose achieved label is nearest
                 to ℓ is returned; at ±1 the most legible or ambiguous one, even beyond the archive.
                 Between, more than one needs the scene's archive.
@@ -331,7 +331,7 @@ class Modulator:
             legibility: ℓ in [−1, 1].
             seed: of the paths and actions drawn; None draws others each time.
             path: the path to follow instead of planning one; it must start at the robot.
-            replan: whether to plan the rest of the motion anew when a push has taken the robot off
+            replan: whether to replan the rest of the motion when a push has taken the robot off
                 its path by more than `tolerance` or its goal was moved: it sets out in the
                 direction of motion, and ℓ is that of the whole. Without it the robot goes back to
                 the path.
@@ -421,10 +421,9 @@ class Modulator:
             return freed(arms[row], finished(parts))
 
         arms = fleet.arms
-        chosen = list(paths) if paths is not None else []
-        if not chosen:
-            chosen = paths_off_obstacles(arms, plan, seed, max_detour)
-        return follow(fleet, chosen, driver, plan_rest if replan else None, tolerance)
+        if paths is None:
+            paths = paths_off_obstacles(arms, plan, seed, max_detour)
+        return follow(fleet, list(paths), driver, plan_rest if replan else None, tolerance)
 
     def controller(
         self,
@@ -456,7 +455,7 @@ class Modulator:
             dt: duration of a step of the loop [s]; that of the model's environment if not given.
             max_displacement: largest displacement of a step along each axis [m]; if not given, as
                 fast as the robots in training.
-            tolerance: distance from the path [m] beyond which the rest is planned anew;
+            tolerance: distance from the path [m] beyond which the rest is replanned;
                 `max_displacement` if not given.
             budget: time [s] that a step may spend on planning; None is no limit. The part that is
                 begun in this time is finished: a few milliseconds more.

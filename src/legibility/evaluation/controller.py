@@ -1,8 +1,8 @@
-"""The controller in a loop: how smoothly, how soon and how well does it plan a motion anew?
+"""The controller in a loop: smoothness, delay and legibility when it replans.
 
-A simulated robot realises a hidden share of each displacement, with a hidden lag. Half-way of its
-plan something happens, once. New plans from the present position, with the same ℓ for the rest, are
-the rival: that is what a planner without a memory does.
+A simulated robot realises a hidden share of each displacement, with a hidden lag. It is disturbed
+once on its way. The rival is a planner without memory: a new plan from the present position, with
+the same ℓ.
 """
 
 import time
@@ -29,23 +29,23 @@ from .statistics import share_interval, summary
 
 
 class Row(NamedTuple):
-    """An event on the way, and who answers it."""
+    """A disturbance, and the answer to it."""
 
     text: str  # name in tables
     event: str | None
-    anew: bool = False  # by a new plan from the present position
+    memoryless: bool = False  # answered by a new plan from the present position
 
 
 ROWS = {
     "undisturbed": Row("undisturbed", None),
     "asked": Row("asked to replan, nothing has changed", "ask"),
-    "asked, anew": Row("the same, a new plan", "ask", anew=True),
+    "asked, anew": Row("the same, a new plan", "ask", memoryless=True),
     "pushed": Row("pushed", "push"),
-    "pushed, anew": Row("the same, a new plan", "push", anew=True),
+    "pushed, anew": Row("the same, a new plan", "push", memoryless=True),
     "goal moved": Row("the target moved", "goal"),
-    "goal moved, anew": Row("the same, a new plan", "goal", anew=True),
+    "goal moved, anew": Row("the same, a new plan", "goal", memoryless=True),
     "obstacle": Row("an obstacle on the path", "obstacle"),
-    "obstacle, anew": Row("the same, a new plan", "obstacle", anew=True),
+    "obstacle, anew": Row("the same, a new plan", "obstacle", memoryless=True),
 }
 """The rows of the table, by name."""
 
@@ -179,8 +179,8 @@ class _Motion:
                 elif row.event != "ask":
                     scene = self.scene = _changed(row.event, self.controller, position, direction)
                 started = time.perf_counter()
-                if row.anew:
-                    self._start_anew(position)
+                if row.memoryless:
+                    self._restart(position)
                     known = -1
                 elif row.event == "ask":
                     self.controller.replan()
@@ -206,7 +206,7 @@ class _Motion:
             travelled += float(np.linalg.norm(moved - position))
             velocity, position = moved - position, moved
 
-    def _start_anew(self, position: Array) -> None:
+    def _restart(self, position: Array) -> None:
         """Let a new controller go on, as if nothing had been before."""
         self.controller = self.modulator.controller(
             self.scene.starting_at(position), 0, self.level, observer=self.controller.path.observer,

@@ -27,8 +27,8 @@ from .path_sampler import PathSampler, Sampling, Tasks, detour_of, nearest_path
 from .projection import Begun, headed, projected, smoothed, start_turns
 
 _MISSED, _WAVES, _EXCESS = 0.02, 0.4, 0.01  # faults, as those of a plan
-_LEVELS = np.linspace(-1, 1, 9)  # of the rests drawn
 _TOO_LONG = 100.0  # added to the fault of a motion that is
+_LEVELS = np.linspace(-1, 1, 9)  # of the rests drawn
 _TRIED = 3  # of them, those nearest to the score wanted
 _SPARE = 1.05  # by which a rest may be longer than the straight line if no length is left
 
@@ -199,7 +199,6 @@ class _Judge:
         self.before = np.empty((0, self.scene.dim))
         if gone > 0:
             self.before = resample(self.begun.states, SCORE_POINTS)[:-1]
-
         self.least = self._turned(moved_rest(rest)[None])
 
     def scores(self, paths: Array) -> Array:
