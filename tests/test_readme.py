@@ -32,6 +32,7 @@ def blocks(language):
     ]
 
 
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 COMMANDS = [
     line.split("#")[0].strip()
     for block in blocks("sh")
@@ -71,7 +72,7 @@ def test_commands(command, folder, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    "code", [*blocks("python"), pytest.param((ROOT / "examples/plan.py").read_text(), id="plan.py")]
+    "code", [*blocks("python"), *(pytest.param(f.read_text("utf-8"), id=f.name) for f in EXAMPLES)]
 )
 def test_python(code, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
