@@ -174,3 +174,18 @@ def test_policy_needs_demonstrations(dataset, tmp_path, refused):
     assert "demonstrations.json" in refused(
         "train policy --steps 2", "--data", dataset, "--out", tmp_path / "out"
     )
+
+
+def test_stage_2_of_others(run, dataset, tiny, refused, cli, tmp_path, capsys):
+    """Stage 2 of other weights is saved beside a new stage 1, if it moves in as many dimensions."""
+    paths = ["--data", dataset, "--validation", dataset, "--out", tmp_path / "o"]
+    assert cli(f"train path --steps 1 {tiny} --policy block-reach-2d", *paths) == 0
+    saved = lg.Modulator.from_pretrained(tmp_path / "o" / "weights")
+    shipped = lg.Modulator.from_pretrained("block-reach-2d")
+    ours, theirs = saved.path_policy.state_dict(), shipped.path_policy.state_dict()
+    assert all((ours[name] == theirs[name]).all() for name in theirs)
+    capsys.readouterr()
+    paths[-1] = tmp_path / "p"
+    words = f"train path --steps 1 {tiny} --policy"
+    assert "policy must move in 2D, got 3D" in refused(f"{words} panda-block-reach", *paths)
+    assert "has no stage 2" in refused(f"{words} diffusion-policy-2d", *paths)

@@ -14,7 +14,6 @@ from ..scene import Scene
 from . import output
 from .options import MODEL, MODELS, OptionalText, OutputFile, Workers, flags, made
 from .report import result_figure
-from .trajectories import read_trajectories
 
 _Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
 _Eyes = Annotated[Any, arg(constructor=flags(configuration.EyesConfig))]
@@ -32,7 +31,7 @@ _Ablations = Annotated[Any, arg(constructor=flags(configuration.AblationsConfig)
 _Model = Annotated[str, arg(help="name of shipped weights, or a folder")]
 _Scene = Annotated[Path | None, arg(metavar="FILE", help="scene of your trajectories")]
 _Trajectories = Annotated[
-    Path | None, arg(metavar="FILE", help="your motions to the target, a CSV file as of `score`")
+    Path | None, arg(metavar="FILE", help="your motions to the target, a file as of `score`")
 ]
 _Json = Annotated[
     OutputFile, arg(help="the result with its command, seed, settings and weights, as JSON")
@@ -153,7 +152,13 @@ def timing(
 
 def _your_motions(scene: Scene, target: int, file: Path) -> tuple[Scene, int, dict[str, Any]]:
     """A user's motions from the start of a scene to a target."""
-    curves = read_trajectories(file, scene)
+    from ..data.recordings import read_recordings
+    from ..evaluation.scoring import check_inside
+
+    recordings = read_recordings(file, scene.dim, output.note)
+    for recording in recordings:
+        check_inside(recording, scene)
+    curves = {recording.name: recording.motion for recording in recordings}
     for name, curve in curves.items():
         for end, place, point in (
             ("start", scene.start, curve[0]), ("target", scene.target(target), curve[-1])

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..data.recordings import write_trajectories
 from ..errors import InvalidInputError
 from . import output
 from .options import Motions, OptionalText, OutputFile, motion_files
-from .trajectories import write_trajectories
 
 if TYPE_CHECKING:
     from ..rollout import Rollout

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ..checks import count
+from ..data.recordings import write_trajectories
 from . import output
 from .options import Motions, OptionalFloat, OptionalInt, OutputFile, Timed
-from .trajectories import write_trajectories
 
 
 def plan(

@@ -80,9 +80,31 @@ _TUNED = ("guidance", "guidance_decay", "guidance_share")
 _GoalModel = Annotated[Any, arg(constructor=flags(GoalPolicyConfig, "dim", "limit", *_TUNED))]
 
 
-def path(job: _Job, training: _Path, model: _PathModel) -> None:
-    """Train stage 1, the path diffuser, and save its weights to OUT/weights."""
-    _train(job, "path", made(PathTrainingConfig, training), model)
+def path(
+    job: _Job,
+    training: _Path,
+    model: _PathModel,
+    policy: Annotated[str | None, arg(metavar="NAME")] = None,
+) -> None:
+    """Train stage 1, the path diffuser, and save its weights to OUT/weights.
+
+    Args:
+        policy: name or folder of weights whose stage 2, which follows any path, is saved beside it,
+            so that motions can be executed at once.
+    """
+    stage = None if policy is None else _stage_2(policy)
+    _train(job, "path", made(PathTrainingConfig, training), model, stage)
+
+
+def _stage_2(name: str) -> tuple[Any, Any]:
+    """Stage 2 of some weights, and its record."""
+    from ..models.pretrained import load_stages, pretrained_folder
+
+    folder = pretrained_folder(name)
+    stages, records = load_stages(folder)
+    if "policy" not in stages:
+        raise CheckpointError(f"{folder} has no stage 2")
+    return stages["policy"], records["policy"]
 
 
 def distill(
@@ -136,13 +158,20 @@ def legibility_diffuser(job: _Job, training: _Guided, model: _GoalModel) -> None
     _train(job, "goal", made(PolicyTrainingConfig, training), model, tune=True)
 
 
-def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) -> None:
-    """Train a stage from nothing and save it."""
+def _train(
+    job: Job, stage: str, settings: Any, model: Any, policy: Any = None, tune: bool = False
+) -> None:
+    """Train a stage from nothing and save it, beside stage 2 and its record, if given."""
+    from ..models.pretrained import save_stage
     from ..training.path import train_path
     from ..training.policy import train_policy, tune_guidance
 
     train: Any = train_path if stage == "path" else partial(train_policy, stage=stage)
     data, validation, team = _ready(job, stage)
+    if policy is not None and policy[0].config.dim != validation.config.dim:
+        raise InvalidInputError(
+            f"policy must move in {validation.config.dim}D, got {policy[0].config.dim}D"
+        )
     with _run(job, team) as run:
         trained = train(data, validation, run, settings, **vars(model))
     tuning = {}
@@ -151,6 +180,8 @@ def _train(job: Job, stage: str, settings: Any, model: Any, tune: bool = False) 
             chosen, rows = tune_guidance(trained.model, validation, progress)
         trained.model.config = replace(trained.model.config, **chosen)
         tuning = {"tuning": rows}
+    if policy is not None and team.main:
+        save_stage(job.saved, "policy", *policy)
     _save(job, team, stage, trained, validation, **tuning)
 
 
