@@ -18,13 +18,13 @@ SCENES = {
 SMALL = {"regime": "dragan", "views": 2, "cells": 6, "candidates": 4096}
 
 
-def bent(scene, target, bends, name="1", **options):
+def bent(place, goal, bends, name="1", **options):
     """A motion with as many waves as there are bends, which is no Bézier."""
     share = np.linspace(0, 1, 60)
-    along = scene.goals[target] - scene.start
+    along = place.goals[goal] - place.start
     across = np.array([-along[1], along[0]])
     waves = sum(bend * np.sin((i + 1) * np.pi * share) for i, bend in enumerate(bends))
-    points = scene.start + share[:, None] * along + np.asarray(waves)[:, None] * across
+    points = place.start + share[:, None] * along + np.asarray(waves)[:, None] * across
     return lg.Recording(points, name=name, **options)
 
 

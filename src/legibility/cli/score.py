@@ -108,7 +108,7 @@ def score(
     rows = [_row(name, each) for motion in by_motion for name, each in motion]
     if csv is not None:
         _write_csv(csv, rows)
-    if is_picture:
+    if belief is not None and is_picture:
         from ..figures.recording import belief_figure
 
         belief_figure(rated, belief)

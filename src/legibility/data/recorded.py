@@ -104,7 +104,7 @@ class RecordedPaths:
 def _scene_of(recording: Recording, scenes: Mapping[str, Scene]) -> str:
     if len(scenes) == 1:
         return next(iter(scenes))
-    if recording.scene not in scenes:
+    if recording.scene is None or recording.scene not in scenes:
         got = "none" if recording.scene is None else repr(recording.scene)
         raise InvalidInputError(
             f"recording {recording.name!r} must name one of the scenes "

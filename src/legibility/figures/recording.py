@@ -18,7 +18,8 @@ def belief_figure(rated: Mapping[str, Sequence[Score]], file: str | Path) -> Non
         rated: scores of the same 1 to 5 recordings by the observer's name; another number raises.
         file: see `figure_file`.
     """
-    check_number(columns := len(next(iter(rated.values()))), "recordings")
+    first = next(iter(rated.values()))
+    check_number(columns := len(first), "recordings")
     width, height = min(PAGE, 0.6 + _WIDTH * max(2, columns)), 0.75 + _HEIGHT * len(rated)
     with figure_file(file, width, height) as figure:
         panels: Any = figure.subplots(len(rated), columns, sharex="col", sharey=True, squeeze=False)
@@ -28,7 +29,7 @@ def belief_figure(rated: Mapping[str, Sequence[Score]], file: str | Path) -> Non
                 belief_panel(
                     panel, score.recording.motion_times, score.belief, score.archive.target
                 )
-        for top, bottom, score in zip(panels[0], panels[-1], scores, strict=True):
+        for top, bottom, score in zip(panels[0], panels[-1], first, strict=True):
             recording = score.recording
             level = f"{score.achieved:.2f}".replace("-", "−")
             top.set_title(rf"{recording.name}, $\ell$ = {level}")

@@ -183,5 +183,6 @@ def _smoothed(points: Array, times: Array, noise: float, weights: Array) -> Arra
     at = np.concatenate([times[:1], inner_times, times[-1:]])
     weight = np.ones(len(points))
     weight[[0, -1]] = np.minimum(weights, _MOST_WEIGHT)
-    spline, _ = make_splprep(points.T, w=weight, u=at, s=points.size * noise**2)
+    residual: Any = points.size * noise**2  # SciPy's stubs want an integer
+    spline, _ = make_splprep(points.T, w=weight, u=at, s=residual)
     return spline(np.linspace(at[0], at[-1], len(points))).T
