@@ -59,7 +59,8 @@ def main(folder="out/your-data", steps=2000, number=20):
     (folder / "scenes.yaml").write_text(yaml.safe_dump(content))
 
     for line in (
-        "data --from recordings.csv --scenes scenes.yaml --regime dragan --views 1 --out data",
+        "data --from recordings.csv --scenes scenes.yaml --mix 0.3 --regime dragan --views 1 "
+        "--out data",
         f"train path --data data --steps {steps} --scenes 64 --out run --weights weights "
         "--policy block-reach-2d --json train.json",
     ):
@@ -77,7 +78,8 @@ def main(folder="out/your-data", steps=2000, number=20):
     print("asked   ", path.legibility.round(2))
     print("achieved", path.achieved.round(2))
     env = gymnasium.make("legibility/BlockReach2D-v0")
-    rollout = modulator.execute(env, 0, 1.0, scene=scene, seed=0)
+    env.reset(seed=0, options={"scene": scene, "target": 0})
+    rollout = modulator.execute(env, legibility=1.0, seed=0)
     print("executed", round(float(rollout.achieved), 2), "at the goal:", rollout.success)
 
 

@@ -148,7 +148,8 @@ class DatasetConfig(SceneStream):
         given: instead of random scenes these; the target is goal 0 in each, see `targets_of`.
         recordings: hash of recorded motions in the given scenes, from which the trajectories are
             chosen; none, and they are chosen from each archive.
-        mix: with recorded motions, share of the trajectories that is still chosen from the archive.
+        mix: with recorded motions, share of the trajectories that is chosen from the archive, where
+            the motions leave gaps on the dial.
     """
 
     stream: str = "train"

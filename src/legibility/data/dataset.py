@@ -68,13 +68,13 @@ class Choice:
 
     @np.errstate(under="ignore")
     def select(
-        self, seen: Archive, num: int, efficiency: float, rng: np.random.Generator
+        self, seen: Archive, wanted: Array, efficiency: float, rng: np.random.Generator
     ) -> dict[str, Array]:
-        """Choose `num` paths at equal steps of ℓ from −1 to 1, short ones rather than long.
+        """Choose a path for each level of ℓ, short ones rather than long.
 
         Args:
             seen: the archive for an observer.
-            num: number of paths.
+            wanted: levels `(num,)`, rising.
             efficiency: see `DatasetConfig`.
             rng: source of randomness.
 
@@ -86,8 +86,7 @@ class Choice:
         detour = self.lengths / np.linalg.norm(self.paths[0, -1] - self.paths[0, 0]) - 1
 
         order = np.argsort(labels, kind="stable")
-        ranked = labels[order]
-        wanted = np.linspace(-1, 1, num)
+        ranked, num = labels[order], len(wanted)
         # Candidates for a level: all within half a step, and four on either side at least.
         centre, size = np.searchsorted(ranked, wanted), len(order)
         low = np.minimum(np.searchsorted(ranked, wanted - 1 / num), np.maximum(centre - 4, 0))
@@ -120,7 +119,8 @@ def _rows(config: DatasetConfig, index: int, recorded: Array | None) -> Iterator
         observer = config.observer_of(index, scene, config.observer, view)
         seen = archive.seen_by(observer) if view else archive
         if recorded is None:
-            chosen = choice.select(seen, config.per_scene, config.efficiency, rng)
+            wanted = np.linspace(-1, 1, config.per_scene)
+            chosen = choice.select(seen, wanted, config.efficiency, rng)
         else:
             chosen = _mixed(config, choice, seen, recorded, rng)
         yield {
@@ -141,23 +141,34 @@ def _mixed(
     """Recorded paths `(M, K + 2, D)` [m], and a share `mix` from the archive.
 
     Each recorded one once, then those again that are next to equal steps of ℓ over their range; of
-    too many, only the latter.
+    too many, only the latter. The archive's are at levels of ℓ where the recorded leave gaps.
     """
     num = config.per_scene - round(config.mix * config.per_scene)
     scores = seen.observer.score(path_curve(recorded, SCORE_POINTS), seen.scene, seen.target)
     labels = seen.label_of(scores)
     chosen = np.arange(len(labels) if len(labels) <= num else 0)
     wanted = np.linspace(labels.min(), labels.max(), num - len(chosen))
-    gaps = np.abs(labels - wanted[:, None])
-    chosen = np.concatenate([chosen, gaps.argmin(-1)])
+    chosen = np.concatenate([chosen, np.abs(labels - wanted[:, None]).argmin(-1)])
     parts = [{
         "waypoints": recorded[chosen, 1:-1],
         "scores": scores[chosen],
         "labels": labels[chosen],
     }]  # fmt: skip
     if num < config.per_scene:
-        parts.append(choice.select(seen, config.per_scene - num, config.efficiency, rng))
+        gaps = _gaps(labels[chosen], config.per_scene - num)
+        parts.append(choice.select(seen, gaps, config.efficiency, rng))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _gaps(labels: Array, num: int) -> Array:
+    """`num` levels from −1 to 1, rising, each as far as may be from `labels` and those before."""
+    levels = np.linspace(-1, 1, 201)
+    apart = np.abs(levels - labels[:, None]).min(0, initial=2.0)
+    found = []
+    for _ in range(num):
+        found.append(levels[np.argmax(apart)])
+        apart = np.minimum(apart, np.abs(levels - found[-1]))
+    return np.sort(found)
 
 
 def shard_names(config: DatasetConfig) -> list[str]:

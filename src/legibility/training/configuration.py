@@ -6,7 +6,7 @@ from functools import partial
 from ..checks import bounded, count, positive, random_seed
 from ..errors import InvalidInputError
 
-FIXED_BY_DATA = ("dim", "observer")
+FIXED_BY_DATA = ("dim", "observer", "recorded")
 """Settings of stage 1 that follow from its data."""
 
 
