@@ -16,6 +16,7 @@ from .output import (
     show,
     significant,
     table,
+    timed,
     write_report,
 )
 
@@ -43,6 +44,10 @@ def score(
         trajectories: a CSV file.
         place: scene, target and observer of the score and the labels.
         json: everything as JSON.
+
+    Examples:
+        legibility score examples/trajectories.csv examples/paper.yaml
+        legibility score examples/trajectories.csv examples/paper.yaml --observer paper
     """
     from ..curves import resample
     from ..figures.belief import DRAGAN, describe
@@ -54,7 +59,8 @@ def score(
     scene, observer = place.situation()
     target, field = place.target, observer.field(scene)
     curves = read_trajectories(trajectories, scene)
-    archive = build_archive(scene, target, observer=observer)
+    with timed("built the archive"):
+        archive = build_archive(scene, target, observer=observer)
     ends = np.stack([scene.start, scene.goals[target]])
     rated: dict[str, dict[str, Any]] = {}
     for name, curve in curves.items():
