@@ -16,7 +16,7 @@ from ..intent.observer import Observer
 from ..motion.archive import passable
 from ..report.table import Table
 from ..scene import Scene
-from .options import Folder, OutputFile, Workers, flags, made
+from .options import Folder, InputFile, OutputFile, Workers, flags, made
 from .output import check_figure, check_file, check_folder, progress_bar, show, table, write_report
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def data(
     observer: Annotated[Any, arg(constructor=_Observer)],
     controller: Annotated[Any, arg(constructor=_Demonstrations)],
     workers: Workers,
-    scene: Annotated[Path | None, arg(metavar="FILE")] = None,
+    scene: InputFile = None,
     out: Folder = None,
     info: Folder = None,
     figure: OutputFile = None,

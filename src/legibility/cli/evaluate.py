@@ -13,7 +13,7 @@ from ..evaluation import configuration
 from ..scene import Scene
 from ..training.configuration import DEVICES
 from . import output
-from .options import MODEL, MODELS, ModelName, OutputFile, Workers, choices, flags, made
+from .options import MODEL, MODELS, InputFile, ModelName, OutputFile, Workers, choices, flags, made
 from .report import result_figure
 from .trajectories import read_trajectories
 
@@ -38,9 +38,9 @@ _DiffusionPolicy = Annotated[
 _LegibilityDiffuser = Annotated[
     str | None, choices(["legibility-diffuser-2d", "legibility-diffuser-panda"], "DIR")
 ]
-_Scene = Annotated[Path | None, arg(metavar="FILE", help="scene of your trajectories")]
+_Scene = Annotated[InputFile, arg(help="scene of your trajectories")]
 _Trajectories = Annotated[
-    Path | None, arg(metavar="FILE", help="your motions to the target, a CSV file as of `score`")
+    InputFile, arg(help="your motions to the target, a CSV file as of `score`")
 ]
 _Json = Annotated[
     OutputFile, arg(help="the result with its command, seed, settings and weights, as JSON")

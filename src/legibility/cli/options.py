@@ -45,7 +45,7 @@ def _default(value: str) -> str:
 
 
 SceneFile = Annotated[Positional[Path], arg(metavar="SCENE", help_behavior_hint="")]
-OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
+InputFile = OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
 OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")]

@@ -41,7 +41,7 @@ class SceneStream:
     """Random scenes and observers by index; the target is goal 0 in each scene.
 
     Attributes:
-        stream: seed stream, train, validation or evaluation; no two share a scene.
+        stream: seed stream, one of `seeds.STREAMS`; no two share a scene.
         dim: 2 or 3.
         regime: of scenes and observers: paper, dragan, observers, rooms, obstacles, all, or
             training, a mixture of these; see `REGIMES`.
