@@ -88,7 +88,8 @@ results: $(STAMP) ## measure what is missing or out of date of experiments.toml 
 	$(MAKE) report
 
 report: $(STAMP) ## render docs/results.md and the model cards
-	$(LEGIBILITY) report results --weights src/legibility/weights
+	$(LEGIBILITY) report results --out docs/results.md --pictures results \
+		--weights src/legibility/weights
 
 bench: $(STAMP) ## measure the speed of this machine; leave it alone meanwhile
 	$(LEGIBILITY) bench --json results/bench-cpu.json

@@ -7,6 +7,7 @@ keys and numbers that programs read differently are errors.
 import contextlib
 import hashlib
 import json
+import logging
 import os
 import re
 import secrets
@@ -17,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InvalidInputError, OutputError
+
+_LOG = logging.getLogger(__name__)
 
 _DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
@@ -49,6 +52,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             os.replace(temporary, final)
     except OSError as cause:
         raise OutputError(f"cannot write {path}: {cause.strerror or cause}") from cause
+    else:
+        _LOG.info("wrote %s", path)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -86,10 +91,12 @@ def file_hash(path: str | Path) -> str:
 def read_text(path: str | Path, what: str, error: type[Exception] = InvalidInputError) -> str:
     """The text of `path`; if unreadable, an `error` that calls the file a `what`."""
     try:
-        return at_home(path).read_text(encoding="utf-8-sig")
+        text = at_home(path).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as cause:
         reason = cause.strerror if isinstance(cause, OSError) else "not a text file in UTF-8"
         raise error(f"cannot read the {what} {path}: {reason}") from cause
+    _LOG.info("read the %s %s", what, path)
+    return text
 
 
 def read_document(path: str | Path, what: str, error: type[Exception] = InvalidInputError) -> Any:

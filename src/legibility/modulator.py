@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path as FilePath
@@ -18,6 +19,7 @@ from .checks import (
     frame_name,
     legibility_levels,
     levels_for_each,
+    one_of,
     positive,
     seed_or_entropy,
 )
@@ -43,6 +45,8 @@ from .whole_arm import checked_arm, freed, keeps_off, paths_off_obstacles
 
 if TYPE_CHECKING:
     from .robots.arm import Arm
+
+_LOG = logging.getLogger(__name__)
 
 
 class Modulator:
@@ -82,8 +86,7 @@ class Modulator:
                     f"the stages must have one dimension, got {path_diffuser.config.dim} and "
                     f"{path_policy.config.dim}"
                 )
-        if backend not in BACKENDS:
-            raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
+        one_of("backend", backend, BACKENDS)
         self.name, self.training = name, training or {}
         sample, self._policy = path_diffuser.sample, path_policy
         if backend == "onnx":
@@ -93,6 +96,7 @@ class Modulator:
             if path_policy is not None:
                 self._policy = OnnxPathPolicy(path_policy, load_graph(path_policy, graphs))
         self.sampler = PathSampler(path_diffuser, sample, name)
+        _LOG.info("%s runs by %s", name, backend)
 
     @property
     def config(self) -> PathDiffuserConfig:

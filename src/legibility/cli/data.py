@@ -78,9 +78,13 @@ def data(
         recordings: recorded motions in the scenes of the file --scenes.
         out: folder of the dataset to make.
         info: folder of the dataset to describe.
-        figure: with --info, a picture of one scene's archive and all labels; DIR/info.png if not
-            given.
+        figure: with --info, a picture of one scene's archive and all labels.
         json: the description as JSON.
+
+    Examples:
+        legibility data --scenes 4096 --views 4 --per-scene 25 --workers 8 --out runs/data
+        legibility data --info runs/data --figure out/data.png
+        legibility data --from recordings.csv --scenes scenes.yaml --mix 0.3 --out runs/mine
     """
     folder = info if out is None else out
     if folder is None or (out is not None and info is not None):
@@ -90,7 +94,6 @@ def data(
         given = (dataset, observer, controller, scenes, recordings)
         if given != (_Flags(), _Observer(), _Demonstrations(), _SCENES, None):
             raise InvalidInputError("--info describes a dataset as it is; leave the rest out")
-        figure = figure or info / "info.png"
         check_figure(figure)
     elif figure is not None:
         raise InvalidInputError("--figure belongs to --info")

@@ -11,9 +11,9 @@ from tyro.conf import Positional, arg
 from ..errors import InvalidInputError
 from ..figures.belief import describe
 from ..files import write_bytes
-from ..intent.observer import DEFAULT_OBSERVER, Observer
+from ..intent.observer import DEFAULT_OBSERVER, OBSERVERS, Observer
 from ..scene import Scene
-from .options import OptionalFloat, OptionalInt, OutputFile, SceneFile, read_scene
+from .options import OptionalFloat, OptionalInt, OutputFile, SceneFile, choices, read_scene
 from .output import (
     FIGURE_SUFFIXES,
     check_figure,
@@ -25,6 +25,7 @@ from .output import (
     show,
     significant,
     table,
+    timed,
     write_report,
 )
 
@@ -45,7 +46,7 @@ _SHOWN = {
 _JITTER = 0.1  # share of the length taken for noise that is worth a warning
 _GAP = 0.01  # of an end from the scene's, over the diagonal, that is worth one
 
-_Observers = Annotated[tuple[str, ...], arg(metavar="{dragan,paper,FILE} ...")]
+_Observers = Annotated[tuple[str, ...], choices(OBSERVERS, "FILE", count=" ...")]
 
 
 def score(
@@ -81,6 +82,10 @@ def score(
         belief: each observer's belief over time, a table (.csv) or a picture of up to 5
             trajectories (.png, .pdf, .svg).
         json: everything as JSON.
+
+    Examples:
+        legibility score examples/recordings.csv examples/paper.yaml --csv out/scores.csv
+        legibility score examples/recordings.csv examples/paper.yaml --observer dragan paper
     """
     for file, what in ((csv, "table"), (json, "JSON file")):
         check_file(file, what)
@@ -99,10 +104,11 @@ def score(
         from ..figures.motion import check_number
 
         check_number(len(recordings), "recordings")
-    rated = {
-        name: score(recordings, place, target, observer=who, tolerance=tolerance)
-        for name, who in watching.items()
-    }
+    with timed("built the archives and rated the trajectories"):
+        rated = {
+            name: score(recordings, place, target, observer=who, tolerance=tolerance)
+            for name, who in watching.items()
+        }
     _warn(next(iter(rated.values())))
     by_motion = [list(zip(rated, each, strict=True)) for each in zip(*rated.values(), strict=True)]
     rows = [_row(name, each) for motion in by_motion for name, each in motion]

@@ -21,7 +21,7 @@ from ..training.configuration import (
     PathTrainingConfig,
     PolicyTrainingConfig,
 )
-from .options import Folder, OutputFile, Where, Workers, flags, made
+from .options import MODELS, Folder, ModelName, OutputFile, Where, Workers, choices, flags, made
 from .output import (
     check_file,
     check_folder,
@@ -80,17 +80,16 @@ _TUNED = ("guidance", "guidance_decay", "guidance_share")
 _GoalModel = Annotated[Any, arg(constructor=flags(GoalPolicyConfig, "dim", "limit", *_TUNED))]
 
 
-def path(
-    job: _Job,
-    training: _Path,
-    model: _PathModel,
-    policy: Annotated[str | None, arg(metavar="NAME")] = None,
-) -> None:
+def path(job: _Job, training: _Path, model: _PathModel, policy: ModelName = None) -> None:
     """Train stage 1, the path diffuser, and save its weights to OUT/weights.
 
     Args:
         policy: name or folder of weights whose stage 2, which follows any path, is saved beside it,
             so that motions can be executed at once.
+
+    Examples:
+        legibility train path --data runs/data --out runs/teacher
+        legibility train path --data runs/data --out runs/quick --steps 1000 --device cpu
     """
     stage = None if policy is None else _stage_2(policy)
     _train(job, "path", made(PathTrainingConfig, training), model, stage)
@@ -108,7 +107,7 @@ def _stage_2(name: str) -> tuple[Any, Any]:
 
 
 def distill(
-    job: _Job, training: _Distillation, teacher: Annotated[str, arg(metavar="NAME")]
+    job: _Job, training: _Distillation, teacher: Annotated[str, choices(MODELS.values(), "DIR")]
 ) -> None:
     """Train a student of stage 1 that draws in one step what its teacher draws in several, guided.
 
@@ -117,6 +116,10 @@ def distill(
 
     Args:
         teacher: name or folder of the weights to distill.
+
+    Examples:
+        legibility train distill --teacher runs/teacher/weights --data runs/data --out runs/student
+        legibility train distill --teacher block-reach-2d --data runs/data --out runs/s --steps 2000
     """
     from ..models.pretrained import load_stages, pretrained_folder, save_stage
     from ..training.path import distill_path
@@ -140,12 +143,22 @@ def distill(
 
 
 def policy(job: _Job, training: _Policy, model: _PolicyModel) -> None:
-    """Train stage 2, the path-guided policy, and save its weights to OUT/weights."""
+    """Train stage 2, the path-guided policy, and save its weights to OUT/weights.
+
+    Examples:
+        legibility train policy --data runs/shown --out runs/policy
+        legibility train policy --data runs/shown --out runs/policy --weights runs/teacher/weights
+    """
     _train(job, "policy", made(PolicyTrainingConfig, training), model)
 
 
 def diffusion_policy(job: _Job, training: _Unguided, model: _GoalModel) -> None:
-    """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility."""
+    """Train the baseline Diffusion Policy, which knows a goal but neither path nor legibility.
+
+    Examples:
+        legibility train diffusion-policy --data runs/shown --out runs/baseline
+        legibility train diffusion-policy --data runs/shown --out runs/baseline --precision bf16
+    """
     _train(job, "goal", made(PolicyTrainingConfig, training), model)
 
 
@@ -154,6 +167,10 @@ def legibility_diffuser(job: _Job, training: _Guided, model: _GoalModel) -> None
 
     It is a goal-conditioned policy whose goal is sometimes dropped in training. The JSON records
     the measurements of every combination of weight, decay and share of the guidance.
+
+    Examples:
+        legibility train legibility-diffuser --data runs/shown --out runs/diffuser
+        legibility train legibility-diffuser --data runs/shown --out runs/diffuser --steps 2000
     """
     _train(job, "goal", made(PolicyTrainingConfig, training), model, tune=True)
 

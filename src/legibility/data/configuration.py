@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import bounded, count, positive, random_seed
+from ..checks import bounded, check_choices, choice, count, one_of, positive, random_seed
 from ..errors import DatasetError, InvalidInputError
 from ..intent.observer import Observer
 from ..motion.archive import Archive, build_archive, passable
+from ..robots import ARM_NAMES
 from ..scene import Scene
 from ..seeds import STREAMS, stream_seed
 from .rooms import add_obstacles, default_like, random_observer, random_room
@@ -52,7 +53,7 @@ class SceneStream:
     """Random scenes and observers by index; the target is goal 0 in each scene.
 
     Attributes:
-        stream: seed stream, train, validation or evaluation; no two share a scene.
+        stream: seed stream, one of `seeds.STREAMS`; no two share a scene.
         dim: 2 or 3.
         regime: of scenes and observers: paper, dragan, observers, rooms, obstacles, all, or
             training, a mixture of these; see `REGIMES`.
@@ -61,19 +62,14 @@ class SceneStream:
     """
 
     stream: str
-    dim: int = 2
-    regime: str = "dragan"
+    dim: int = choice(2, (2, 3))
+    regime: str = choice("dragan", REGIMES)
     goals: tuple[int, int] = (2, 6)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, allowed in (("stream", STREAMS), ("regime", REGIMES)):
-            if getattr(self, name) not in allowed:
-                raise InvalidInputError(
-                    f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
-                )
-        if self.dim not in (2, 3):
-            raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
+        one_of("stream", self.stream, STREAMS)
+        check_choices(self)
         random_seed("seed", self.seed)
         goals = [count("goals", n, low=2) for n in self.goals] if np.iterable(self.goals) else []
         if len(goals) != 2 or not goals[0] <= goals[1] <= 12:
@@ -152,8 +148,8 @@ class DatasetConfig(SceneStream):
             the motions leave gaps on the dial.
     """
 
-    stream: str = "train"
-    regime: str = "training"
+    stream: str = choice("train", ("train", "validation"))
+    regime: str = choice("training", REGIMES)
     scenes: int = 1000
     views: int = 3
     per_scene: int = 65
@@ -182,10 +178,6 @@ class DatasetConfig(SceneStream):
         count("scenes", self.scenes)
         count("views", self.views)
         count("per_scene", self.per_scene, low=3)
-        if self.stream == "evaluation":
-            raise InvalidInputError(
-                "stream must be train or validation, the scenes of evaluation are for evaluations"
-            )
         object.__setattr__(self, "goals", tuple(self.goals))
         if not isinstance(self.observer, Observer):
             raise InvalidInputError(
@@ -250,7 +242,7 @@ class DemonstrationsConfig:
     noise: float | None = None
     pushed: float = 0.25
     push: float | None = None
-    arm: str | None = None
+    arm: str | None = choice(None, ARM_NAMES, more="FILE")
 
     def __post_init__(self) -> None:
         count("demonstrations", self.demonstrations, low=0)

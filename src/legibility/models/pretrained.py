@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from ..checks import did_you_mean
 from ..errors import CheckpointError, InvalidInputError, TrainingError
 from ..files import at_home, file_hash, read_text, write_json
 from .checkpoint import load_state, load_tensors, save_tensors
@@ -39,7 +40,8 @@ def pretrained_folder(name_or_folder: str | Path) -> Path:
     if (folder := at_home(name_or_folder)).is_dir():
         return folder
     raise CheckpointError(
-        f"there are no weights {str(name_or_folder)!r}: give a folder or one of {names}"
+        f"there are no weights {str(name_or_folder)!r}: give a folder or one of {', '.join(names)}"
+        f"{did_you_mean(name_or_folder, names)}"
     )
 
 

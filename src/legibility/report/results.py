@@ -93,8 +93,8 @@ def section_of(kind: str, name: str, document: Document) -> list[Part]:
         return KINDS[kind].section(document)
 
 
-def render_page(results: Results, pictures: str) -> str:
-    """All results as one page of Markdown; `pictures` is their folder, relative to the page.
+def render_page(results: Results, pictures: str | None) -> str:
+    """All results as one page of Markdown; `pictures` is their folder, if any, as it is linked.
 
     Raises:
         InvalidInputError: a file holds something else than its name says.
@@ -118,7 +118,7 @@ def render_page(results: Results, pictures: str) -> str:
             parts.append(f"## {title}")
         for name, document in results.get(kind, {}).items():
             parts += [f"### {title}: {name}", markdown(section_of(kind, name, document))]
-            if picture:
+            if picture and pictures is not None:
                 parts.append(f"![{picture}]({pictures}/{kind}-{name}.png)")
             parts.append(f"Measured by `{document['command']}`.")
     return "\n\n".join(parts) + "\n"
