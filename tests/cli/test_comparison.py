@@ -85,8 +85,10 @@ def test_what_is_written(measured, baselines):
 
 
 def test_report(measured, cli, capsys):
-    assert cli("report", measured / "results", "--tables", measured / "tables") == 0
-    page = (measured / "docs" / "results.md").read_text()
+    results, page = measured / "results", measured / "docs" / "results.md"
+    files = ["--out", page, "--pictures", results, "--tables", measured / "tables"]
+    assert cli("report", results, *files) == 0
+    page = page.read_text()
     for kind in ("table1", "unseen", "spectrum"):
         assert f"Measured by `legibility evaluate {kind} " in page
     assert (
