@@ -5,17 +5,18 @@ import numpy as np
 import legibility as lg
 
 
-def plan(scene, target, legibility):
-    """An arc, the higher the more legible, that leaves the other goals on its other side."""
-    start, goal = scene.start, scene.goals[target]
-    share, away = np.linspace(0, 1, 50)[:, None], goal - scene.distractors(target).mean(axis=0)
-    side = away - (goal - start) * (away @ (goal - start)) / ((goal - start) @ (goal - start))
-    arc = start + share * (goal - start) + legibility * np.sin(np.pi * share) * side
-    return np.clip(arc, *scene.workspace)
+def plan(scene, target, legibility, seed, observer):
+    """Of 200 random arcs, the one whose score has the rank that ℓ asks for."""
+    share = np.linspace(0, 1, 50)[:, None]
+    line = scene.start + share * (scene.goals[target] - scene.start)
+    bows = np.random.default_rng(seed).normal(0, 0.3 * scene.size, (200, 1, scene.dim))
+    arcs = np.clip(line + np.sin(np.pi * share) * bows, *scene.workspace)
+    order = observer.score(arcs, scene, target).argsort()
+    return arcs[order[round(199 * (1 + legibility) / 2)]]
 
 
 class Wave:
-    """A policy: it keeps an aim that comes back to the target as the robot comes nearer."""
+    """A policy: it aims beside the target, and at it as the robot comes nearer."""
 
     def __init__(self, scene, target, legibility):
         self.goal, away = scene.goals[target], scene.goals[target] - scene.distractors(target)
@@ -29,7 +30,8 @@ class Wave:
 
 
 if __name__ == "__main__":
-    scene = lg.Scene.load("examples/paper.yaml")
-    archive = lg.build_archive(scene, target=0)
-    scores = [lg.Observer().score(plan(scene, 0, level), scene, 0) for level in (-1, 0, 1)]
-    print(archive.label_of(np.array(scores)))
+    scene, observer = lg.Scene.load("examples/paper.yaml"), lg.Observer()
+    archive = lg.build_archive(scene, target=0, observer=observer)
+    for level in (-1, 0, 1):
+        motion = plan(scene, 0, level, seed=0, observer=observer)
+        print(level, archive.label_of(observer.score(motion, scene, 0)))

@@ -571,6 +571,7 @@ class Toward:
             assert result[name]["success"]["min"] == 1
             assert result[name]["length_ratio_at_1"]["mean"] == pytest.approx(1, abs=0.02)
             assert abs(result[name]["at_1"]["mean"]) < 0.1
+        assert ["deviation" in result[name] for name in names] == [True, False]
 
     def test_a_policy_has_no_plan(self, file, tiny):
         with pytest.raises(InvalidInputError, match="is a policy, which needs closed_loop"):

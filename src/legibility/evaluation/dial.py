@@ -168,11 +168,10 @@ def _measure(
         if config.closed_loop:
             kind = vector_type(config.env, scene.dim)
             rollouts = execute_paths(modulator, kind, path, seed, seed, driver=driver)
-            off = [r.deviation.mean() for r in rollouts] / path.length
-            metrics |= {
-                "success": float(np.mean([r.success for r in rollouts])),
-                "deviation": float(off.mean()),
-            }
+            metrics["success"] = float(np.mean([r.success for r in rollouts]))
+            if mode not in own or not own[mode].is_policy:  # which follows no path
+                off = [r.deviation.mean() for r in rollouts] / path.length
+                metrics["deviation"] = float(off.mean())
             scores = np.array([r.score for r in rollouts])
             curves = np.stack([r.trajectory(_POINTS) for r in rollouts])
         else:
