@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from rooms import obstacle, room
 
 import legibility as lg
-from legibility.controller import _alike
 from legibility.drivers import Feedback
 from legibility.errors import CheckpointError, InvalidInputError, InvalidSceneError
 
@@ -553,13 +552,3 @@ class TestArm:
         np.testing.assert_array_equal(base.motion().joint_positions[2], PANDA.home)
         with pytest.raises(InvalidInputError, match="joint_angles must have 7 numbers"):
             base.step(PANDA.in_base(position), joint_angles=[0.0] * 6)
-
-
-def test_scenes_that_are_alike():
-    one = moved([0.8, 0.6], obstacles=[lg.Box([0.5, 0.5], [0.1, 0.2], 0.3)])
-    near = moved([0.801, 0.6], obstacles=[lg.Box([0.5, 0.5], [0.1, 0.2001], 0.3)])
-    assert _alike(one, one, 0)
-    assert _alike(one, near, 0.0011)
-    assert not _alike(one, near, 0.0009)
-    assert not _alike(one, moved([0.8, 0.6]), 1)
-    assert not _alike(one, moved([0.8, 0.6], obstacles=[lg.Ball([0.5, 0.5], 0.1)]), 1)

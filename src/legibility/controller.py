@@ -7,7 +7,7 @@ from collections.abc import Generator
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -243,7 +243,7 @@ class Controller:
 
     def _is_stale(self) -> bool:
         """Whether the last plan was begun for another scene, or another plan is asked for."""
-        return self._planned is None or not _alike(self._planned[1], self._now, _NOISE * self.limit)
+        return self._planned is None or not self._now.alike(self._planned[1], _NOISE * self.limit)
 
     def _move(self, here: Array, posture: Array | None) -> None:
         """Take note of the position."""
@@ -413,21 +413,3 @@ def _diagonal(dim: int) -> float:
     """That of the default workspace [m]."""
     low, high = np.array(DEFAULT_WORKSPACE[dim])
     return float(np.linalg.norm(high - low))
-
-
-def _alike(scene: Scene, other: Scene, tolerance: float) -> bool:
-    """Whether two scenes are built alike, and no number but of their starts differs by more."""
-    if scene is other:
-        return True
-    ours, theirs = (_numbers({**s.to_dict(), "start": []}) for s in (scene, other))
-    return ours.keys() == theirs.keys() and all(
-        abs(value - theirs[place]) <= tolerance for place, value in ours.items()
-    )
-
-
-def _numbers(value: Any, place: str = "") -> dict[str, float]:
-    """All numbers in plain values by their places."""
-    if isinstance(value, dict | list | tuple):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        return {k: v for name, item in items for k, v in _numbers(item, f"{place}/{name}").items()}
-    return {place: float(value)}

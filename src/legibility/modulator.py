@@ -26,7 +26,7 @@ from .checks import (
 from .controller import Controller
 from .drivers import Driver, Policy
 from .envs import vector_type
-from .envs.fleet import Fleet, is_vector
+from .envs.fleet import Fleet, fleet_of, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
 from .intent.observer import Observer
 from .models.configuration import BACKENDS, PathDiffuserConfig
@@ -330,15 +330,16 @@ class Modulator:
         An environment that was never reset is reset with `seed` first.
 
         Args:
-            env: an environment of this package, in any wrappers that leave actions alone.
+            env: an environment of this package, in any wrappers that leave actions alone, or one of
+                your own that has what `legibility.envs.Environment` names.
             target: index of the intended goal; if not given, that of `path` or of the environment.
             legibility: ℓ in [−1, 1].
             seed: of the paths and actions drawn; None draws others each time.
             path: the path to follow instead of planning one; it must start at the robot.
             replan: whether to replan the rest of the motion when a push has taken the robot off
-                its path by more than `tolerance` or its goal was moved: it sets out in the
-                direction of motion, and ℓ is that of the whole. Without it the robot goes back to
-                the path.
+                its path by more than `tolerance`, or its goal was moved or, in an environment of
+                your own, anything else in the scene: it sets out in the direction of motion, and ℓ
+                is that of the whole. Without it the robot goes back to the path.
             tolerance: [m]; the largest action's length if not given.
             observer, exact, refine, max_detour, num_candidates, guidance, steps: see `plan`.
             driver: moves the robot instead of stage 2.
@@ -391,7 +392,7 @@ class Modulator:
         seed = seed_or_entropy("seed", seed)
         driver, sampling = self._driver(driver), Sampling(guidance, steps).checked(self.config)
         max_detour = _detour(max_detour)
-        fleet = Fleet(env, seed)
+        fleet = fleet_of(env, seed)
         self._check_fleet(fleet)
         tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for_each(legibility, fleet.size)
@@ -521,7 +522,8 @@ class Modulator:
             raise InvalidInputError(
                 f"the model {self.name} moves in {self.config.dim}D, the environment is {dim}D"
             )
-        if self.path_policy is not None and fleet.limit != self.path_policy.config.limit:
+        ours = type(fleet) is Fleet  # in an environment of your own a robot may take other steps
+        if ours and self.path_policy is not None and fleet.limit != self.path_policy.config.limit:
             raise InvalidInputError(
                 f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
                 f"the environment's limit is {fleet.limit} m"

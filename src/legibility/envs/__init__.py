@@ -13,6 +13,8 @@ from ..errors import InvalidInputError
 
 if TYPE_CHECKING:
     from .block_reach import BlockReachVector
+    from .own import Environment as Environment
+    from .own import check as check
 
 MAX_EPISODE_STEPS = 400
 
@@ -69,3 +71,9 @@ def check_render_mode(mode: Any, modes: Sequence[str]) -> None:
     """Raise unless `mode` is None or one of `modes`."""
     if mode is not None:
         one_of("render_mode", mode, modes)
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("Environment", "check"):  # loaded on first use
+        return getattr(importlib.import_module(".own", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

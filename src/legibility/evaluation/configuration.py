@@ -70,6 +70,8 @@ class DialConfig(HeldOutScenes):
             properties.
         env: environment of the execution, 2d, panda or pandagym; that of the dimension if not
             given.
+        method: planners of yours, measured as well, and policies of executed motions; each is
+            MODULE:NAME, of a module in this folder or installed, or FILE.py:NAME.
     """
 
     levels: int = 21
@@ -80,6 +82,7 @@ class DialConfig(HeldOutScenes):
     steps: int | None = None
     closed_loop: bool = False
     env: str | None = choice(None, ENVIRONMENTS)
+    method: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -261,12 +264,15 @@ class Table1Config:
         seed: of the scenes, the plans, the actions and the robots' hidden properties.
         search_candidates: curves of the first search; the second draws ten times that. 0 means as
             many as fit in the time of a plan, which is measured first.
+        method: planners and policies of yours, a row each: MODULE:NAME, of a module in this folder
+            or installed, or FILE.py:NAME.
     """
 
     env: str = choice("2d", ENVIRONMENTS)
     rollouts: int = 100
     seed: int = 0
     search_candidates: int = 0
+    method: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         random_seed("seed", self.seed)
