@@ -242,7 +242,7 @@ def _tests(result: dict[str, Any], cells: list[str], texts: dict[str, str] = _TE
         for name in result["methods"]:
             if ours in result["methods"] and name not in OURS:
                 verdicts = (_verdict(tests[cell, ours, name]) for cell in cells)
-                other: str = texts.get(name, name)
+                other = texts[name] if name in texts else str(name)
                 table.add_row(own, other, *verdicts)
     return table
 
