@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from tyro.conf import arg
@@ -26,6 +26,10 @@ _Flags = flags(DatasetConfig, "observer", "given")
 _SCALE = ("alpha", "detour", "label")
 _Observer = flags(Observer, *(f.name for f in fields(Observer) if f.name not in _SCALE))
 _Demonstrations = flags(DemonstrationsConfig)
+_Format = Annotated[
+    Literal["torch", "lerobot", "csv"] | None,
+    arg(metavar="{torch,lerobot,csv}", help_behavior_hint=""),
+]
 _BINS = 20
 _BAR = 40
 
@@ -38,6 +42,8 @@ def data(
     scene: Annotated[Path | None, arg(metavar="FILE")] = None,
     out: Folder = None,
     info: Folder = None,
+    export: _Format = None,
+    source: Annotated[Folder, arg(name="data")] = None,
     figure: OutputFile = None,
     json: OutputFile = None,
 ) -> None:
@@ -46,6 +52,8 @@ def data(
     --out DIR makes it: the same bytes for any number of workers. Interrupted, the same command
     resumes. --info DIR describes it. With --demonstrations N a feedback controller then follows N
     paths of each scene in the environment; its states and actions are stored beside them.
+
+    --export FORMAT --data DIR --out DIR writes a dataset for other programs.
 
     Args:
         dataset: scenes and trajectories.
@@ -56,10 +64,17 @@ def data(
             --dim, --scenes and --goals then count for nothing.
         out: folder of the dataset to make.
         info: folder of the dataset to describe.
+        export: torch (safetensors), lerobot (the demonstrations, LeRobotDataset v3) or csv.
+        source: folder of the dataset to export.
         figure: with --info, a picture of one scene's archive and all labels; DIR/info.png if not
             given.
         json: the description as JSON.
     """
+    if export is not None or source is not None:
+        rest = (dataset, observer, controller, workers, scene, info, figure, json)
+        plain = (_Flags(), _Observer(), _Demonstrations(), Workers(), None, None, None, None)
+        _export(export, source, out, rest == plain)
+        return
     folder = info if out is None else out
     if folder is None or (out is not None and info is not None):
         raise InvalidInputError("give either --out DIR, to make a dataset, or --info DIR")
@@ -77,7 +92,7 @@ def data(
     if out is not None:
         given = None if scene is None else _given(scene)
         config = made(DatasetConfig, dataset, observer=made(Observer, observer), given=given)
-        content = _make(out, config, made(DemonstrationsConfig, controller), workers)
+        content = make_dataset(out, config, made(DemonstrationsConfig, controller), workers)
     else:
         content = Dataset.load(folder)
     config = content.config
@@ -95,6 +110,19 @@ def data(
         show(f"picture: {figure}")
 
 
+def _export(form: str | None, source: Path | None, out: Path | None, alone: bool) -> None:
+    """Export the dataset in `source`; `alone` is whether nothing else is asked."""
+    if form is None or source is None or out is None or not alone:
+        raise InvalidInputError(
+            "--export FORMAT needs --data DIR, the dataset, and --out DIR, and takes nothing else"
+        )
+    check_folder(out, "export")
+    from ..data.export import export
+
+    for file in export(source, form, out):
+        show(str(file))
+
+
 def _given(file: Path) -> Scene:
     """The scene of a file, to each of whose goals a motion leads."""
     scene = Scene.load(file)
@@ -104,7 +132,7 @@ def _given(file: Path) -> Scene:
     return scene
 
 
-def _make(
+def make_dataset(
     folder: Path, config: DatasetConfig, controller: DemonstrationsConfig, workers: Workers
 ) -> Dataset:
     """Make the dataset in `folder` and its demonstrations, if any are asked."""
