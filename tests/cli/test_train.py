@@ -178,30 +178,19 @@ def test_policy_needs_demonstrations(dataset, tmp_path, refused):
     )
 
 
-SMALL = """\
-data: {scenes: 4, views: 2, per_scene: 9, cells: 6, candidates: 4096}
-demonstrations: {scenes: 4, per_scene: 9, cells: 6, candidates: 4096, demonstrations: 2}
-path: {warmup: 1, scenes: 4, per_scene: 4, channels: [8, 16], condition: 16, encoder_width: 8,
-  resolution: 16}
-policy: {warmup: 1, batch: 16, channels: [8, 16], condition: 16}
-student: {steps: 4, warmup: 1, scenes: 4, per_scene: 4, pairs: 4}
-"""
+SMALL = Path(__file__).parents[2] / "examples" / "small-model.yaml"
 
 
 def test_all_stages_of_a_model(here, cli, one_thread, monkeypatch, capsys):
-    monkeypatch.setattr("legibility.data.configuration.VALIDATION_SCENES", 2)
-    Path("small.yaml").write_text(SMALL)
-    line = "train all --settings small.yaml --seed 3 --steps 6 --policy-steps 5 --json j.json --out"
-    calls = []
+    flags = "--seed 3 --scenes 2 --demonstrated 2 --steps 6 --policy-steps 5 --json j.json --out"
+    line = f"train all --settings {SMALL} {flags}"
 
-    def stop(*arguments):
-        calls.append(arguments)
+    def stop(*_, **__):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr("legibility.training.policy.train_policy", stop)
         assert cli(line, "run") == 130
-    assert calls
     assert "interrupted; the same command resumes" in capsys.readouterr().err
     taught = Path("run/teacher/path.safetensors")
     before = taught.stat().st_mtime_ns, taught.read_bytes()
@@ -218,8 +207,8 @@ def test_all_stages_of_a_model(here, cli, one_thread, monkeypatch, capsys):
     path, policy = model.training["path"], model.training["policy"]
     assert path.teacher.training.training["steps"] == 6
     assert path.teacher.training.digest == path.digest == Dataset.load("run/data").digest
-    assert (policy.training["steps"], policy.demonstrations["number"]) == (5, 8)
-    assert Dataset.load("run/data").config.scenes == 4
+    assert (policy.training["steps"], policy.demonstrations["number"]) == (5, 4)
+    assert Dataset.load("run/data").config.scenes == 2
     content = json.loads(Path("j.json").read_text())
     assert content["seed"] == 3
     seeds = [content["config"][part]["seed"] for part in content["config"]]

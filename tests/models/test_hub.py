@@ -109,10 +109,10 @@ class TestPushAndLoad:
         card = ModelCard(text)
         assert card.data.pipeline_tag == "robotics"
         assert card.data.library_name == "legibility"
-        found = {(r.metric_type, r.dataset_name): r.metric_value for r in card.data.eval_results}
-        assert len(found) >= 8
-        assert all(isinstance(value, float) for value in found.values())
-        assert all("regime" in dataset for _, dataset in found)
+        found = [(r.metric_type, r.dataset_config, r.metric_value) for r in card.data.eval_results]
+        assert {regime for _, regime, _ in found} >= {"dragan", "all"}
+        assert {"spearmanr", "mae", "success"} <= {metric for metric, _, _ in found}
+        assert all(isinstance(value, float) for _, _, value in found)
         assert f'from_pretrained("{MINE}")' in text
         assert 'from_pretrained("block-reach-2d")' not in text
 

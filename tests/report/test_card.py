@@ -89,9 +89,10 @@ class TestModulator:
         assert model["name"] == "m"
         for entry in model["results"]:
             assert set(entry) == {"task", "dataset", "metrics"}
-            assert {"type", "name"} == set(entry["task"]) == set(entry["dataset"])
+            assert set(entry["task"]) == {"type", "name"}
+            assert set(entry["dataset"]) == {"type", "name", "config"}
         found = {
-            (entry["dataset"]["name"].rpartition(" ")[2], metric["type"]): metric["value"]
+            (entry["dataset"]["config"], metric["type"]): metric["value"]
             for entry in model["results"]
             if entry["task"]["name"] == "The dial of planned paths"
             for metric in entry["metrics"]

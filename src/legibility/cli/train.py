@@ -50,7 +50,8 @@ class Job:
             for a student with its teacher's labels.
         out: folder of the log (log.jsonl, and TensorBoard's with the extra named train), the
             checkpoint and the weights. Interrupted, the same command resumes from the checkpoint.
-        validation: another dataset; if not given, one of 128 scenes is made in OUT/validation.
+        validation: another dataset; if not given, one of up to 128 scenes is made in
+            OUT/validation.
         weights: where the weights are saved, beside those of another stage if they are there;
             OUT/weights if not given.
         json: the settings and the last validation as JSON.

@@ -198,11 +198,13 @@ class DatasetConfig(SceneStream):
             raise DatasetError(f"the settings of a dataset are not ours: {cause}") from cause
 
     def for_validation(self) -> DatasetConfig:
-        """The same settings for 128 scenes of the validation stream, each with one observer.
+        """The same settings for scenes of the validation stream, each with one observer.
 
-        Of a given scene: other trajectories in it.
+        They are 128, or as many as these if there are fewer; of a given scene they are other
+        trajectories in it.
         """
-        return replace(self, stream="validation", scenes=VALIDATION_SCENES, views=1)
+        scenes = min(self.scenes, VALIDATION_SCENES)
+        return replace(self, stream="validation", scenes=scenes, views=1)
 
 
 @dataclass(frozen=True)

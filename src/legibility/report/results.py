@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from ..errors import InvalidInputError
 from ..files import read_document
 from .comparisons import external_section, single_scene_section, table1_section, unseen_section
-from .dials import dial_section, eyes_section, percent, regimes_tables, scenes_of, sound
+from .dials import dial_section, eyes_section, percent, regimes_tables, sound
 from .sections import (
     NOTES,
     ablations_section,
@@ -238,12 +238,13 @@ def model_index(results: Results, name: str) -> list[dict[str, Any]]:
         for metric in HEADLINE:
             if (document := metric.document(results, name)) is None:
                 continue
-            scenes = f"{scenes_of(document)}, regime {document['config']['regime']}"
+            config = document["config"]
+            scenes = f"{config['scenes']} held-out random scenes (seed {document['seed']})"
             entry = found.setdefault(
                 (metric.kind, metric.regime),
                 {
                     "task": {"type": "robotics", "name": KINDS[metric.kind].title},
-                    "dataset": {"type": "legibility", "name": scenes},
+                    "dataset": {"type": "legibility", "name": scenes, "config": config["regime"]},
                     "metrics": [],
                 },
             )
