@@ -59,6 +59,32 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+@contextlib.contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Yield a new folder beside `path`; it becomes `path`, or is removed on failure.
+
+    Raises:
+        OutputError: `path` is there already, unless it is an empty folder, or cannot be written.
+    """
+    path = at_home(path)
+    final = Path(os.path.realpath(path))
+    temporary = final.parent / f".{secrets.token_hex(8)}"
+    try:
+        if final.exists() and (not final.is_dir() or any(final.iterdir())):
+            raise OutputError(f"cannot write the folder {path}: it is there and not empty")
+        temporary.mkdir(parents=True)
+        yield temporary
+        if final.exists():
+            final.rmdir()
+        temporary.rename(final)
+    except OSError as cause:
+        if isinstance(cause, OutputError):
+            raise
+        raise OutputError(f"cannot write the folder {path}: {cause.strerror or cause}") from cause
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
 def write_bytes(path: str | Path, content: bytes) -> None:
     """Write `content` to `path` atomically."""
     with atomic_path(path) as temporary:

@@ -165,3 +165,31 @@ def test_refuses_recordings(words, message, here, refused):
     write_recordings(1)
     assert message in refused(f"data {words}")
     assert not Path("d").exists()
+
+
+@pytest.mark.parametrize("form", ["torch", "lerobot", "csv"])
+def test_export(form, shown, here, cli, capsys):
+    assert cli(f"data --export {form} --out a/b --data", shown) == 0
+    written = capsys.readouterr().out.split()
+    assert written
+    assert sorted(written) == sorted(str(p) for p in Path("a/b").rglob("*") if p.is_file())
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["--export csv --out d", "--export csv --data d", "--data d --out e", "--export csv --data d"
+     " --out e --seed 1", "--export csv --data d --out e --json j.json"],
+)  # fmt: skip
+def test_refuses_half_an_export(words, refused):
+    assert "--export FORMAT needs --data DIR, the dataset, and --out DIR" in refused(
+        f"data {words}"
+    )
+
+
+def test_refuses_an_export(dataset, refused):
+    line = "data --export lerobot --out d --data"
+    assert "has no demonstrations" in refused(line, dataset)
+    assert "cannot read the dataset manifest" in refused(line, "nothing")
+    Path("e").mkdir()
+    Path("e/mine").write_text("mine")
+    assert "it is there and not empty" in refused("data --export csv --out e --data", dataset)

@@ -192,3 +192,12 @@ def test_settings_that_do_not_belong_together(found, tmp_path):
         with pytest.raises(InvalidInputError, match="recorded paths must be given"):
             generate(config, tmp_path / "d", recorded=recorded)
     assert not (tmp_path / "d").exists()
+
+
+TEXTS = {"scene lab": "lab", "hall": "hall", "reach goal 0 in scene lab": "lab"}
+
+
+@pytest.mark.parametrize(("text", "name"), TEXTS.items())
+def test_texts_that_name_a_scene(text, name):
+    found = RecordedPaths([bent(SCENES[name], 0, (0.3,), scene=text, target=0)], SCENES)
+    assert found.scenes == [SCENES[name]]

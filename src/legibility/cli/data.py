@@ -13,14 +13,14 @@ import numpy as np
 from tyro.conf import arg
 
 from ..checks import Array
-from ..data.configuration import DatasetConfig, DemonstrationsConfig, targets_of
+from ..data.configuration import FORMATS, DatasetConfig, DemonstrationsConfig, targets_of
 from ..data.recordings import read_recordings
 from ..errors import InvalidInputError
 from ..intent.observer import Observer
 from ..motion.archive import passable
 from ..report.table import Table
 from ..scene import Scene
-from .options import Folder, OutputFile, Workers, flags, made
+from .options import Folder, OutputFile, Workers, choices, flags, made
 from .output import (
     check_figure,
     check_file,
@@ -40,6 +40,7 @@ _SCALE = ("alpha", "detour", "label")
 _Observer = flags(Observer, *(f.name for f in fields(Observer) if f.name not in _SCALE))
 _Demonstrations = flags(DemonstrationsConfig)
 _SCENES = str(DatasetConfig.scenes)
+_Format = Annotated[str | None, choices(FORMATS)]
 _BINS = 20
 _NEAR = 0.1
 _BAR = 40
@@ -54,6 +55,8 @@ def data(
     recordings: Annotated[Path | None, arg(name="from", metavar="FILE|DIR")] = None,
     out: Folder = None,
     info: Folder = None,
+    export: _Format = None,
+    source: Annotated[Folder, arg(name="data")] = None,
     figure: OutputFile = None,
     json: OutputFile = None,
 ) -> None:
@@ -67,6 +70,8 @@ def data(
     as of `score` with a column scene where there are several, and target, or the goal nearest to
     the end is meant. --mix SHARE fills up with the archive's.
 
+    --export FORMAT --data DIR --out DIR writes a dataset for other programs.
+
     Args:
         dataset: scenes and trajectories.
         observer: what ℓ means, whoever watches.
@@ -78,6 +83,8 @@ def data(
         recordings: recorded motions in the scenes of the file --scenes.
         out: folder of the dataset to make.
         info: folder of the dataset to describe.
+        export: torch (safetensors), lerobot (the demonstrations, LeRobotDataset v3) or csv.
+        source: folder of the dataset to export.
         figure: with --info, a picture of one scene's archive and all labels.
         json: the description as JSON.
 
@@ -86,6 +93,11 @@ def data(
         legibility data --info runs/data --figure out/data.png
         legibility data --from recordings.csv --scenes scenes.yaml --mix 0.3 --out runs/mine
     """
+    if export is not None or source is not None:
+        rest = (dataset, observer, controller, workers, scenes, recordings, info, figure, json)
+        plain = (_Flags(), _Observer(), _Demonstrations(), Workers(), _SCENES, *[None] * 4)
+        _export(export, source, out, rest == plain)
+        return
     folder = info if out is None else out
     if folder is None or (out is not None and info is not None):
         raise InvalidInputError("give either --out DIR, to make a dataset, or --info DIR")
@@ -100,9 +112,9 @@ def data(
     from ..data.dataset import Dataset
 
     if out is not None:
-        source, paths = _source(scenes, recordings)
-        config = made(DatasetConfig, dataset, observer=made(Observer, observer), **source)
-        content = _make(out, config, made(DemonstrationsConfig, controller), workers, paths)
+        given, paths = _source(scenes, recordings)
+        config = made(DatasetConfig, dataset, observer=made(Observer, observer), **given)
+        content = make_dataset(out, config, made(DemonstrationsConfig, controller), workers, paths)
     else:
         content = Dataset.load(folder)
     config = content.config
@@ -118,6 +130,19 @@ def data(
         curves, labels = archive.trajectories, archive.labels
         archive_figure(archive.scene, 0, curves, labels, content.labels, figure)
         show(f"picture: {figure}")
+
+
+def _export(form: str | None, source: Path | None, out: Path | None, alone: bool) -> None:
+    """Export the dataset in `source`; `alone` is whether nothing else is asked."""
+    if form is None or source is None or out is None or not alone:
+        raise InvalidInputError(
+            "--export FORMAT needs --data DIR, the dataset, and --out DIR, and takes nothing else"
+        )
+    check_folder(out, "export")
+    from ..data.export import export
+
+    for file in export(source, form, out):
+        show(str(file))
 
 
 def _source(scenes: str, recordings: Path | None) -> tuple[dict[str, Any], Sequence[Array] | None]:
@@ -150,12 +175,12 @@ def _passable(scene: Scene, name: str) -> tuple[Scene, ...]:
     return targets_of(scene)
 
 
-def _make(
+def make_dataset(
     folder: Path,
     config: DatasetConfig,
     controller: DemonstrationsConfig,
     workers: Workers,
-    recorded: Sequence[Array] | None,
+    recorded: Sequence[Array] | None = None,
 ) -> Dataset:
     """Make the dataset in `folder` and its demonstrations, if any are asked."""
     from ..data.dataset import generate

@@ -20,8 +20,9 @@ from .output import speaking
 VERBS = {
     "plan": "plan motions through a scene, one for each level of legibility",
     "execute": "plan motions and execute them in an environment",
-    "score": "rate the trajectories of a CSV file by every metric; no model is needed",
-    "data": "make a dataset of labelled trajectories, or describe one",
+    "score": "rate recorded trajectories by every metric; no model is needed",
+    "data": "make a dataset of labelled trajectories, from recordings too, describe or export one",
+    "train all": "make every stage of a model, from its data to its weights",
     "train path": "train stage 1, the path diffuser",
     "train distill": "distill stage 1 into a student that samples in one step",
     "train policy": "train stage 2, the path-guided policy",

@@ -33,6 +33,9 @@ REGIMES = ("paper", "dragan", "observers", "rooms", "obstacles", "all", "trainin
 * `training`: a mixture of all of these.
 """
 
+FORMATS = ("torch", "lerobot", "csv")
+"""Formats of an export."""
+
 _ANY_GOALS = (2, 8)
 _OF_GIVEN = {"given", "recordings", "mix"}
 
@@ -214,11 +217,12 @@ class DatasetConfig(SceneStream):
             raise DatasetError(f"the settings of a dataset are not ours: {cause}") from cause
 
     def for_validation(self) -> DatasetConfig:
-        """The same settings for 128 scenes of the validation stream, each with one observer.
+        """The same settings for scenes of the validation stream, each with one observer.
 
-        Of given scenes: other trajectories in them, from their archives.
+        They are 128, or as many as these if there are fewer; of given scenes they are other
+        trajectories in them, from their archives.
         """
-        other = {"stream": "validation", "scenes": VALIDATION_SCENES, "views": 1}
+        other = {"stream": "validation", "scenes": min(self.scenes, VALIDATION_SCENES), "views": 1}
         return replace(self, **other, recordings="", mix=0.0)
 
 

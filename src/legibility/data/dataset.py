@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -29,6 +29,9 @@ from ..scene import Scene
 from ..seeds import stream_seed
 from .configuration import DatasetConfig
 from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
+
+if TYPE_CHECKING:
+    from .trajectories import TorchTrajectories
 
 LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, from which a label is read off a score."""
@@ -284,6 +287,12 @@ class Dataset:
             summary={name: values[:rows] for name, values in self.summary.items()},
             **{name: getattr(self, name)[:rows] for name in arrays},
         )
+
+    def to_torch(self) -> TorchTrajectories:
+        """The trajectories as a Dataset of PyTorch, whose samples are dicts of tensors."""
+        from .trajectories import TorchTrajectories
+
+        return TorchTrajectories(self)
 
     @classmethod
     def _of_table(cls, content: dict[str, Any], digest: str, table: pa.Table) -> Dataset:

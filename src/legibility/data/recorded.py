@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,8 @@ def read_scenes(file: str | Path) -> dict[str, Scene]:
         InvalidSceneError: the file is unreadable, holds no scene, or one of them is wrong.
     """
     content = read_document(file, "scene file", InvalidSceneError)
+    if isinstance(content, list):  # as an export has it
+        content = {"scenes": content}
     if not isinstance(content, dict) or "scenes" not in content:
         return {"": Scene.load(file)}
     several = content["scenes"]
@@ -102,15 +105,20 @@ class RecordedPaths:
 
 
 def _scene_of(recording: Recording, scenes: Mapping[str, Scene]) -> str:
+    """The name of the recording's scene, which a longer text may tell as `scene NAME`."""
     if len(scenes) == 1:
         return next(iter(scenes))
-    if recording.scene is None or recording.scene not in scenes:
+    text = recording.scene or ""
+    if text in scenes:
+        return text
+    named = [name for name in scenes if re.search(rf"\bscene {re.escape(name)}\b", text)]
+    if len(named) != 1:
         got = "none" if recording.scene is None else repr(recording.scene)
         raise InvalidInputError(
             f"recording {recording.name!r} must name one of the scenes "
             f"{', '.join(list(scenes)[:10])}, got {got}"
         )
-    return recording.scene
+    return named[0]
 
 
 def _target_of(recording: Recording, scene: Scene) -> int:

@@ -51,21 +51,24 @@ class _Row(NamedTuple):
 def read_recordings(
     file: str | Path, dim: int, note: Callable[[str], object] = lambda line: None
 ) -> list[Recording]:
-    """The recordings of a table, in its order.
+    """The recordings of a table or of a folder, in their order.
 
     Args:
-        file: `.parquet`, or text: separated by commas, semicolons, tabs or blanks, with a header
-            that names the columns x, y and in 3-D z [m]. Optional columns: `trajectory`, a name or
-            number that tells several apart; `t` or `time` [s], which must rise; `target`, the index
-            of the intended goal, and `scene`, a name, each the same for all points of a trajectory.
-            Capitals, blanks, a `#` or `%` before the header and a unit behind a name (`x [m]`) are
-            accepted.
+        file: a folder in the format LeRobotDataset v3 (see `read_lerobot`), whose tasks' texts name
+            the scenes; or a table, as `.parquet` or as text: separated by commas, semicolons, tabs
+            or blanks, with a header that names the columns x, y and in 3-D z [m]. Optional columns:
+            `trajectory`, a name or number that tells several apart; `t` or `time` [s], which must
+            rise; `target`, the index of the intended goal, and `scene`, a name, each the same for
+            all points of a trajectory. Capitals, blanks, a `#` or `%` before the header and a unit
+            behind a name (`x [m]`) are accepted.
         dim: D of the scene.
         note: is called with a line about columns that are left out.
 
     Raises:
         InvalidInputError: anything else, naming the line or row.
     """
+    if at_home(file).is_dir():
+        return _of_lerobot(file, dim)
     is_parquet = Path(file).suffix.lower() == ".parquet"
     header, rows = (_parquet if is_parquet else _text)(file)
     word = "row" if is_parquet else "line"
@@ -89,6 +92,18 @@ def read_recordings(
     if left_out := [name or "without a name" for name in header.names if name not in _KNOWN]:
         note(f"{file}: columns left out: {', '.join(left_out)}")
     return [_recording(name, rows, dim) for name, rows in found.items()]
+
+
+def _of_lerobot(folder: str | Path, dim: int) -> list[Recording]:
+    from .lerobot import read_lerobot  # which reads much else
+
+    found = []
+    for number, episode in enumerate(read_lerobot(folder)):
+        if (size := episode.positions.shape[-1]) != dim:
+            raise InvalidInputError(f"{folder}: the motions are {size}D, the scene is {dim}D")
+        name = str(number)
+        found.append(Recording(episode.positions, episode.times, name, scene=episode.task))
+    return found
 
 
 @contextlib.contextmanager

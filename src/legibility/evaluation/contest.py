@@ -78,8 +78,8 @@ class Contest:
 
     Stage 2 of `modulator` follows the paths of all methods that have one; `policies` are the
     goal-conditioned baselines by the name of their method; `sizes` are the numbers of curves that
-    the two searches draw; `own` are methods of the user by name. Raises InvalidInputError without a
-    stage 2, or if a policy moves robots other than those of `kind`.
+    the two searches draw; `own` are methods of the user by name. Raises CheckpointError without a
+    stage 2, InvalidInputError if a policy moves robots other than those of `kind`.
 
     Attributes:
         names: of all methods, in the order of the tables.
@@ -95,9 +95,7 @@ class Contest:
     ) -> None:
         self.own = own or {}
         self.names = [*METHODS, *self.own]
-        policy = modulator.path_policy
-        if policy is None:
-            raise InvalidInputError(f"the model {modulator.name} has no stage 2 to compare")
+        policy = modulator.stage_2()
         for name, model in {modulator.name: policy, **policies}.items():
             dim, limit = model.config.dim, model.config.limit
             if (dim, limit) != (kind.dim, kind.max_displacement):

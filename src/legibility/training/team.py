@@ -112,9 +112,14 @@ class Team:
             self.accelerator.end_training()
 
 
+def launched() -> bool:
+    """Whether `accelerate launch` or `torchrun` started this process."""
+    return any(name in os.environ for name in _LAUNCHED)
+
+
 def _accelerator(device: str | None, precision: str | None) -> Any:
     """That of the package accelerate, or None if no launcher started this process."""
-    if not any(name in os.environ for name in _LAUNCHED):
+    if not launched():
         return None
     from accelerate import Accelerator
 
