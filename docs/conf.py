@@ -41,6 +41,8 @@ nitpick_ignore_regex = [
 
 html_theme = "furo"
 html_title = project
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sphinx = False
@@ -105,8 +107,10 @@ def link_code(app, doctree: nodes.document, docname: str) -> None:
         inside = (nodes.reference, nodes.title, addnodes.desc_signature)
         if any(isinstance(parent, inside) for parent in ancestors(node)):
             continue
-        name = re.sub(r"\(.*\)$", "", node.astext()).removeprefix("lg.")
-        if (entry := named.get(name)) is not None:
+        name, call, _ = node.astext().partition("(")
+        if call and not re.search(r"[._]", name):  # `Box(…)` may be somebody else's
+            continue
+        if (entry := named.get(name.removeprefix("lg."))) is not None:
             link = nodes.reference("", "", internal=True, reftitle=entry[0])
             link["refuri"] = app.builder.get_relative_uri(docname, entry[1]) + "#" + entry[2]
             node.replace_self(link)
