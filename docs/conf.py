@@ -36,7 +36,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     ("py:.*", r"(?!legibility\b).*"),
     ("py:.*", r"legibility\.(models|motion\.tracking|envs\.guard|robots\.kinematics)\..*"),
-    ("py:.*", r".*\.(Solids|Nearby)"),
+    ("py:.*", r".*\.(Solids|Nearby|Lean)"),
 ]
 
 html_theme = "furo"
