@@ -21,7 +21,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv install demo test lint format weights results report bench clean distclean
+.PHONY: help venv install demo test lint format docs weights results report bench clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -55,6 +55,9 @@ lint: $(STAMP) ## ruff (rules and format) and pyright
 format: $(STAMP) ## apply ruff's fixes and format
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+
+docs: $(STAMP) ## build the site into build/docs; a warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -q -j auto docs build/docs
 
 weights: $(MODELS:%=weights-%) ## make all shipped weights from nothing; interrupted, it resumes
 

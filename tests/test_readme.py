@@ -1,5 +1,6 @@
 """The documents: every command runs, every number is in the results, every link leads somewhere."""
 
+import functools
 import re
 import shlex
 import shutil
@@ -8,24 +9,24 @@ from pathlib import Path
 import pytest
 from experiments import current_record, read_experiments
 
-from legibility.cli import main
+from legibility.cli import main, verbs
 from legibility.models.pretrained import pretrained_folder, pretrained_names
 from legibility.modulator import Modulator
 from legibility.report.card import render_card
 from legibility.report.results import headline_table, read_json, read_results, render_page
 
 ROOT = Path(__file__).parent.parent
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 WEIGHTS = [*pretrained_names(), *pretrained_names("goal")]
 
 
 def blocks(language):
-    """The blocks of all documents; those of `cluster.md` need a cluster."""
+    """The blocks of all documents; the Python of `clusters.md` needs a cluster."""
     return [
         pytest.param(block, id=f"{document.stem}-{number}")
         for document in DOCUMENTS
-        if document.stem != "cluster"
+        if (document.stem, language) != ("clusters", "python")
         for number, block in enumerate(
             re.findall(rf"```{language}\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
         )
@@ -33,12 +34,16 @@ def blocks(language):
 
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-COMMANDS = [
-    line.split("#")[0].strip()
-    for block in blocks("sh")
-    for line in block.values[0].splitlines()
-    if line.startswith("legibility ")
-]
+
+
+def commands(language):
+    """The commands `legibility …` of all blocks; those in `bash` would take hours, or a cluster."""
+    lines = "\n".join(block.values[0].replace("\\\n", "") for block in blocks(language))
+    calls = re.findall(r"^(?:.* -m )?(legibility [^#'\n]+)", lines, re.MULTILINE)
+    return [call.strip() for call in calls]
+
+
+COMMANDS = commands("sh")
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +74,27 @@ def test_commands(command, folder, monkeypatch, capsys):
     assert main(shlex.split(command)[1:]) == 0, capsys.readouterr().err
     for written in re.findall(r"\S+\.(?:png|gif|json)\b", command):
         assert (folder / written).stat().st_size > 100
+
+
+@pytest.mark.parametrize("command", commands("bash"))
+def test_commands_that_take_long_are_parsed(command, monkeypatch, capsys):
+    called, load = [], verbs.load
+
+    def stand_in(name):
+        return functools.wraps(load(name))(lambda *args, **kwargs: called.append(name))
+
+    monkeypatch.setattr(verbs, "load", stand_in)
+    assert main(shlex.split(command)[1:]) == 0, capsys.readouterr().err
+    assert called
+
+
+@pytest.mark.parametrize("block", blocks("console"))
+def test_mistakes_are_answered_as_shown(block, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    for call in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+        command, _, answer = call.partition("\n")
+        assert main(shlex.split(command)[1:]) == 2
+        assert " ".join(capsys.readouterr().err.split()) == " ".join(answer.split())
 
 
 @pytest.mark.parametrize("code", blocks("python"))
@@ -128,9 +154,9 @@ def test_measurements_stand_in_tables(results):
     prose = " ".join(README.split())
     assert f"({two} % of them in 2-D, {arm} % on the Panda, " in prose
     assert "{} and {} % with any room and observer)".format(*any_room) in prose
-    settings = {"README": {"3.11", "0.05"}, "training": {"0.05", "1.15"},
-                "method": {"0.15", "0.08", "2.5", "0.05", "0.02", "0.4"},
-                "robots": {"0.5", "0.96", "0.8", "0.27", "1.3"}}  # fmt: skip
+    settings = {"README": {"3.11", "0.05"}, "start": {"3.11"}, "training": {"0.05"},
+                "clusters": {"1.15"}, "arm": {"0.5", "0.96", "0.8", "0.27", "1.3"},
+                "method": {"0.15", "0.08", "2.5", "0.05", "0.02", "0.4"}}  # fmt: skip
     for document in DOCUMENTS:
         if document.stem == "results":
             continue

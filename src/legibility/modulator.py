@@ -446,8 +446,8 @@ class Modulator:
                 `paths` or of the environments.
             legibility: ℓ in [−1, 1], one for all or `(B,)`.
             paths: `B` paths to follow instead of planning; they must start at the robots.
-            seed, replan, tolerance, observer, exact, refine, max_detour, num_candidates, guidance,
-                steps, driver: see `execute`.
+            seed, replan, tolerance, driver: see `execute`.
+            observer, exact, refine, max_detour, num_candidates, guidance, steps: see `plan`.
         """
         seed = seed_or_entropy("seed", seed)
         driver, sampling = self._driver(driver), Sampling(guidance, steps).checked(self.config)

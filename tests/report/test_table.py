@@ -95,3 +95,8 @@ def test_numbers():
     assert [three_digits(x) for x in (0.001234, 0.5, 99.96, 1234.5, 0.0)] == [
         "1.23e-03", "0.500", "100", "1,234", "0.00"
     ]  # fmt: skip
+
+
+def test_no_line_of_a_paragraph_begins_a_list():
+    text = markdown(["word " * 18 + "counts as 1. The rest follows."])
+    assert text.splitlines()[1] == "The rest follows."

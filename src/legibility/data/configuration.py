@@ -138,8 +138,8 @@ class DatasetConfig(SceneStream):
         views: observers of each scene, whose labels differ.
         per_scene: trajectories chosen from each archive for each observer, at equal steps of ℓ.
         efficiency: among trajectories of nearly the same ℓ, one that is longer than the shortest by
-            |ℓ| times this share of the straight line is chosen e times less often; so ℓ = 0 is the
-            straight line, and no level takes a needless detour.
+            `|ℓ|` times this share of the straight line is chosen e times less often; so ℓ = 0 is
+            the straight line, and no level takes a needless detour.
         cells: the archive's cells along the straight line; 0 means 20 in 2D and 8 in 3D, coarser
             than an archive that judges, to afford more scenes.
         candidates: most curves tried for an archive.

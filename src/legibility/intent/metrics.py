@@ -73,7 +73,7 @@ CONFIDENCE = 0.8
 """Least belief in the target of a confident observer."""
 
 BETA_SHARE = 20.0
-"""Rationality β times the cost of a straight motion as long as the scene's size: a detour of a
+"""Rationality β times the cost of a straight motion as long as the scene's size; a detour of a
 twentieth of the size makes a goal e times less likely."""
 
 

@@ -101,11 +101,13 @@ Part = str | Table
 def markdown(parts: Iterable[Part]) -> str:
     """Paragraphs, in lines of at most 100 characters where words allow, and tables."""
     return "\n\n".join(
-        part.markdown()
-        if isinstance(part, Table)
-        else textwrap.fill(part, 100, break_long_words=False, break_on_hyphens=False)
-        for part in parts
+        part.markdown() if isinstance(part, Table) else _filled(part) for part in parts
     )
+
+
+def _filled(paragraph: str) -> str:
+    text = textwrap.fill(paragraph, 100, break_long_words=False, break_on_hyphens=False)
+    return re.sub(r"\n(\d+[.)]) ", r" \1\n", text)  # "1. " at the start of a line begins a list
 
 
 def number(value: float, digits: int = 3) -> str:
