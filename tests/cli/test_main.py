@@ -168,7 +168,7 @@ def test_interrupt_says_what_resumes(monkeypatch, tmp_path, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("legibility.data.dataset.generate", interrupted)
-    assert main(["data", "--out", str(tmp_path / "data")]) == 130
+    assert main(["-q", "data", "--out", str(tmp_path / "data")]) == 130
     assert capsys.readouterr().err == "legibility: interrupted; the same command resumes\n"
 
 

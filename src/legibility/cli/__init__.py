@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ..errors import LegibilityError
 from .output import ARGUMENTS
-from .verbs import call
+from .verbs import TALK, call
 
 __all__ = ["main"]
 
@@ -35,7 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # of the parser: 0 after --help, 2 after a mistake
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt:
-        resumes = " ".join(words[:2]).startswith(_RESUMED)
+        verb = " ".join([word for word in words if word not in TALK][:2])
+        resumes = verb.startswith(_RESUMED)
         return _fail("interrupted" + "; the same command resumes" * resumes, 130)
     except LegibilityError as error:
         return _fail(f"error: {error}", 2)

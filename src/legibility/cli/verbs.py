@@ -53,7 +53,8 @@ GROUPS = {
     "evaluate": "measure a model on held-out scenes",
 }
 
-_TALK = ("-q", "--quiet", "-v", "--verbose")
+TALK = ("-q", "--quiet", "-v", "--verbose")
+"""Options that may stand before the verb, too."""
 
 _DESCRIPTION = """\
 Robot motion with a dial for legibility, from most ambiguous (−1) to most legible (1).
@@ -68,7 +69,7 @@ def call(words: Sequence[str]) -> None:
         InvalidInputError: there is no such verb.
         SystemExit: by the parser: 0 after help, 2 after a mistake in the options.
     """
-    talk = list(itertools.takewhile(_TALK.__contains__, words))  # before the verb, as after it
+    talk = list(itertools.takewhile(TALK.__contains__, words))  # before the verb, as after it
     words = words[len(talk) :]
     size = 2 if words and words[0] in GROUPS else 1
     name, rest = " ".join(words[:size]), words[size:]
