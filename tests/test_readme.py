@@ -21,37 +21,41 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 WEIGHTS = [*pretrained_names(), *pretrained_names("goal")]
 
 
-def blocks(language):
-    """The blocks of all documents; the Python of `clusters.md` needs a cluster."""
-    return [
-        pytest.param(block, id=f"{document.stem}-{number}")
-        for document in DOCUMENTS
-        if (document.stem, language) != ("clusters", "python")
-        for number, block in enumerate(
-            re.findall(rf"```{language}\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
-        )
-    ]
-
-
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
-def commands(language):
-    """The commands `legibility …` of all blocks; those in `bash` would take hours, or a cluster."""
-    lines = "\n".join(block.values[0].replace("\\\n", "") for block in blocks(language))
+def blocks(document):
+    """The blocks of code of a document in their order, as pairs of language and text."""
+    return re.findall(r"```(\w+)\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def commands(block):
+    """The commands `legibility …` of a block."""
+    lines = block.replace("\\\n", "")
     calls = re.findall(r"^(?:.* -m )?(legibility [^#'\n]+)", lines, re.MULTILINE)
     return [call.strip() for call in calls]
 
 
-COMMANDS = commands("sh")
+def pages(*languages):
+    """The documents with such blocks; the Python of `clusters.md` needs a cluster."""
+    return [
+        pytest.param(document, id=document.stem)
+        for document in DOCUMENTS
+        if any(language in languages for language, _ in blocks(document))
+    ]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder with the examples, in which commands run one after another."""
-    folder = tmp_path_factory.mktemp("readme")
-    shutil.copytree(ROOT / "examples", folder / "examples")
-    return folder
+LONG = [command for page in DOCUMENTS for language, block in blocks(page) if language == "bash"
+        for command in commands(block)]  # fmt: skip
+"""Commands that would take hours, or need a cluster or the Hub."""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with the examples, where the reader is."""
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture(scope="module")
@@ -59,24 +63,33 @@ def results():
     return read_results(ROOT / "results")
 
 
-def test_the_documents_show_commands():
-    assert len(COMMANDS) >= 8
-
-
 def test_the_readme_is_short():
     assert len(README.splitlines()) <= 220
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_commands(command, folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
+@pytest.mark.parametrize("document", pages("sh", "python", "console"))
+def test_what_a_page_shows_runs(document, folder, monkeypatch, capsys):
+    """One after another: commands succeed, Python prints, mistakes are answered as shown."""
     monkeypatch.setattr("legibility.evaluation.contest._TIMED", 1)
-    assert main(shlex.split(command)[1:]) == 0, capsys.readouterr().err
-    for written in re.findall(r"\S+\.(?:png|gif|json)\b", command):
-        assert (folder / written).stat().st_size > 100
+    for language, block in blocks(document):
+        if language == "sh":
+            for command in commands(block):
+                assert main(shlex.split(command)[1:]) == 0, (command, capsys.readouterr().err)
+                for written in re.findall(r"\S+\.(?:png|gif|json|csv)\b", command):
+                    assert (folder / written).stat().st_size > 100
+        elif language == "python" and document.stem != "clusters":
+            capsys.readouterr()
+            exec(block, {"__name__": "__main__"})
+            assert capsys.readouterr().out, block
+        elif language == "console":
+            capsys.readouterr()
+            for call in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+                command, _, answer = call.partition("\n")
+                assert main(shlex.split(command)[1:]) == 2
+                assert " ".join(capsys.readouterr().err.split()) == " ".join(answer.split())
 
 
-@pytest.mark.parametrize("command", commands("bash"))
+@pytest.mark.parametrize("command", LONG)
 def test_commands_that_take_long_are_parsed(command, monkeypatch, capsys):
     called, load = [], verbs.load
 
@@ -88,29 +101,12 @@ def test_commands_that_take_long_are_parsed(command, monkeypatch, capsys):
     assert called
 
 
-@pytest.mark.parametrize("block", blocks("console"))
-def test_mistakes_are_answered_as_shown(block, folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    for call in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
-        command, _, answer = call.partition("\n")
-        assert main(shlex.split(command)[1:]) == 2
-        assert " ".join(capsys.readouterr().err.split()) == " ".join(answer.split())
-
-
-@pytest.mark.parametrize("code", blocks("python"))
-def test_python(code, folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    exec(code, {"__name__": "__main__"})
-    assert capsys.readouterr().out
-
-
 SHORT = {"your_data.py": ["out/your-data", "2", "2"]}
 """Arguments of examples that take minutes without them."""
 
 
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.name)
 def test_examples(file, folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
     monkeypatch.setattr("sys.argv", [str(file), *SHORT.get(file.name, [])])
     exec(compile(file.read_text("utf-8"), file, "exec"), {"__name__": "__main__"})
     assert capsys.readouterr().out
