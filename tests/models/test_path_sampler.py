@@ -186,7 +186,7 @@ class TestPlan:
         drawn, elite = through(0.4), through(0.3 if better else 0.5)
         label = archive.label_of(score(np.stack([drawn, elite])))
         level = label[1] + 0.1 * (label[1] - label[0]) if better else 2 * label[0] - label[1]
-        monkeypatch.setattr(path_sampler, "project", lambda p, *_: (p, np.ones(len(p), bool)))
+        monkeypatch.setattr(path_sampler, "project", lambda p, *_, **__: (p, np.ones(len(p), bool)))
         monkeypatch.setattr(path_sampler, "smoothed", lambda paths: paths)
         monkeypatch.setattr(
             path_sampler, "bezier_trajectories", lambda c, _: np.tile(elite, (len(c), 1, 1))
@@ -201,7 +201,7 @@ class TestPlan:
         drawn = through(0.4)
         drawn[1:-1, 1] += wave * (-1) ** np.arange(NUM_WAYPOINTS)
         level = scene_archive(BARRED, 0, lg.Observer()).label_of(score(drawn[None]))
-        monkeypatch.setattr(path_sampler, "project", lambda p, *_: (p, np.ones(len(p), bool)))
+        monkeypatch.setattr(path_sampler, "project", lambda p, *_, **__: (p, np.ones(len(p), bool)))
         monkeypatch.setattr(path_sampler, "smoothed", lambda _: drawn[None].copy())
         sampler, _ = scripted(0.4)
         paths, replaced = sampler.plan(tasks(level, BARRED), 0, PLAIN, exact=True, refine=True)
@@ -235,7 +235,7 @@ class TestPlan:
 
     def test_the_archives_nearest_curve_stands_in(self, monkeypatch):
         monkeypatch.setattr(
-            path_sampler, "project", lambda paths, *_: (paths, np.zeros(len(paths), bool))
+            path_sampler, "project", lambda paths, *_, **__: (paths, np.zeros(len(paths), bool))
         )
         sampler, _ = scripted([0.4, 0.05])
         archive = rough_archive(BARRED, 0, lg.Observer())

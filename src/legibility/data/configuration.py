@@ -147,8 +147,8 @@ class DatasetConfig(SceneStream):
         given: instead of random scenes these; the target is goal 0 in each, see `targets_of`.
         recordings: hash of recorded motions in the given scenes, from which the trajectories are
             chosen; none, and they are chosen from each archive.
-        mix: with recorded motions, share of the trajectories that is chosen from the archive, where
-            the motions leave gaps on the dial.
+        mix: with recorded motions, largest share of the trajectories that is chosen from the
+            archive, where the motions leave gaps on the dial.
     """
 
     stream: str = choice("train", ("train", "validation"))

@@ -37,6 +37,7 @@ LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, from which a label is read off a score."""
 
 _MANIFEST = "manifest.json"
+_NEAR = 0.05  # of a label, within which recorded motions leave no gap on the dial
 
 
 def paths_of(archive: Archive) -> Array:
@@ -141,14 +142,15 @@ def _rows(config: DatasetConfig, index: int, recorded: Array | None) -> Iterator
 def _mixed(
     config: DatasetConfig, choice: Choice, seen: Archive, recorded: Array, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Recorded paths `(M, K + 2, D)` [m], and a share `mix` from the archive.
+    """Recorded paths `(M, K + 2, D)` [m], and up to a share `mix` from the archive.
 
     Each recorded one once, then those again that are next to equal steps of ℓ over their range; of
     too many, only the latter. The archive's are at levels of ℓ where the recorded leave gaps.
     """
-    num = config.per_scene - round(config.mix * config.per_scene)
     scores = seen.observer.score(path_curve(recorded, SCORE_POINTS), seen.scene, seen.target)
     labels = seen.label_of(scores)
+    gaps = _gaps(labels, round(config.mix * config.per_scene))
+    num = config.per_scene - len(gaps)
     chosen = np.arange(len(labels) if len(labels) <= num else 0)
     wanted = np.linspace(labels.min(), labels.max(), num - len(chosen))
     chosen = np.concatenate([chosen, np.abs(labels - wanted[:, None]).argmin(-1)])
@@ -157,18 +159,19 @@ def _mixed(
         "scores": scores[chosen],
         "labels": labels[chosen],
     }]  # fmt: skip
-    if num < config.per_scene:
-        gaps = _gaps(labels[chosen], config.per_scene - num)
+    if len(gaps):
         parts.append(choice.select(seen, gaps, config.efficiency, rng))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _gaps(labels: Array, num: int) -> Array:
-    """`num` levels from −1 to 1, rising, each as far as may be from `labels` and those before."""
-    levels = np.linspace(-1, 1, 201)
-    apart = np.abs(levels - labels[:, None]).min(0, initial=2.0)
-    found = []
-    for _ in range(num):
+def _gaps(labels: Array, most: int) -> Array:
+    """Levels from −1 to 1, rising, over `_NEAR` from `labels` and each other: the farthest first.
+
+    At most as many as asked for.
+    """
+    levels, found = np.linspace(-1, 1, 201), []
+    apart = np.abs(levels - labels[:, None]).min(0)
+    while len(found) < most and apart.max() > _NEAR:
         found.append(levels[np.argmax(apart)])
         apart = np.minimum(apart, np.abs(levels - found[-1]))
     return np.sort(found)

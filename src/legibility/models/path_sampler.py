@@ -159,7 +159,9 @@ class PathSampler:
             if not first.all():
                 own = observer.score(path_curve(paths[row][~first], SCORE_POINTS), scene, target)
                 longest = detour_of(observer, max_detour) * shortest_curve(scene, target)[1]
-                drawn[~first] = project(drawn[~first], scene, target, observer, own, longest)[0]
+                drawn[~first] = project(
+                    drawn[~first], scene, target, observer, own, longest, waves=self.config.recorded
+                )[0]
             paths[row] = drawn
         if candidates > 1:  # one that is too long counts as the first of its level
             (scene,), (target,), (observer,) = tasks[:3]
@@ -255,7 +257,7 @@ def _met(
 
     def brought(paths: Array, levels: Array, turned: Array) -> tuple[Array, Array]:
         wanted = archive.score_of(levels)
-        paths, clear = project(paths, scene, target, observer, wanted, longest)
+        paths, clear = project(paths, scene, target, observer, wanted, longest, waves=waves)
         clear[~clear] = free(paths[~clear])
         return paths, np.where(clear, fault(paths, levels, turned), np.inf)
 

@@ -83,6 +83,7 @@ def project(
     wanted: Array | None = None,
     longest: float | None = None,
     begun: Begun | None = None,
+    waves: bool = False,
 ) -> tuple[Array, np.ndarray]:
     """Paths moved out of contact that have the score wanted, and whether each is out of it.
 
@@ -98,11 +99,12 @@ def project(
         longest: length [m] that is allowed; the length is free if it is not given.
         begun: the motion that the paths go on with; their scene starts at its last position. Score
             and length are those of the whole.
+        waves: whether the waves of a path are kept, too, and not smoothed.
 
     Returns:
         `(B, K + 2, D)` [m], and whether each keeps clear by that much, `(B,)` bool.
     """
-    return finished(projected(paths, scene, target, observer, wanted, longest, begun))
+    return finished(projected(paths, scene, target, observer, wanted, longest, begun, waves))
 
 
 def projected(
@@ -113,6 +115,7 @@ def projected(
     wanted: Array | None = None,
     longest: float | None = None,
     begun: Begun | None = None,
+    waves: bool = False,
 ) -> Parts[tuple[Array, np.ndarray]]:
     """`project` in parts."""
     room = Room.of(scene, target, observer)
@@ -120,7 +123,7 @@ def projected(
         seen = observer.field(begun.scene).seen_from(scene.start, room.scale)
         room = replace(room, field=seen)
     drawn = (paths - scene.start) / room.scale
-    task = _Task(room, drawn, wanted, observer, longest, begun)
+    task = _Task(room, drawn, wanted, observer, longest, begun, waves)
     rows = np.arange(len(paths))
     best, merit = yield from _descend(task, task.drawn, rows, task.first)
     rows = np.flatnonzero(merit > _MISSED)
@@ -211,7 +214,7 @@ class _Task:
         drawn: `(B, K + 2, D)`, as they are.
         cost: `(B,)`, log(−score) wanted.
         longest: `(B,)`, log of the length allowed.
-        pull: `(B, K, D)`, what draws the waypoints to the shape drawn.
+        waves: whether the third differences drawn are kept, and not made small.
         before: `(P, D)`, points of the motion so far.
         heading: `(D,)`, direction in which they start; 0 if any will do.
         first: their curves.
@@ -225,15 +228,15 @@ class _Task:
         observer: Observer,
         longest: float | None,
         begun: Begun | None,
+        waves: bool,
     ) -> None:
-        self.room, self.drawn, self.alpha = room, drawn, observer.alpha
+        self.room, self.drawn, self.alpha, self.waves = room, drawn, observer.alpha, waves
         self.before, self.heading = np.empty((0, drawn.shape[-1])), np.zeros(drawn.shape[-1])
         if begun is not None:
             self.heading = begun.heading
             states = (begun.states - begun.states[-1]) / room.scale
             if arc_length(states) > _TINY:
                 self.before = resample(states, CURVE_POINTS)[:-1]
-        self.pull = _matrices(drawn.shape[-1], 0.0).shape @ drawn
         self.cost = self.longest = np.zeros(len(drawn))
         first = self.curves(drawn, np.arange(len(drawn)))
         self.cost = first.error
@@ -313,7 +316,8 @@ class _Task:
         # The score yields to contact.
         trust = np.where((gap + room.pad).min(-1) < 0, score * _CONTACT / contact, score)
         system = matrices.stiffness + (trust[:, None] * slope)[:, :, None] * slope[:, None, :]
-        force = (self.pull[rows] - matrices.smooth @ paths).reshape(-1, size)
+        pull = matrices.smooth if self.waves else matrices.shape
+        force = (pull @ self.drawn[rows] - matrices.smooth @ paths).reshape(-1, size)
         force -= (trust * error)[:, None] * slope
         if (excess > 0).any():
             weight = _LENGTH * (excess > 0)[:, None]
