@@ -123,7 +123,8 @@ class Motions(Place):
 
     Attributes:
         legibility: from -1 (most ambiguous) to 1 (most legible); -1:1:9 gives nine equal steps.
-        model: name of shipped weights, or a folder; if not given, those of the scene's dimension.
+        model: name of shipped weights, a folder, or USER/REPOSITORY[@REVISION] on the Hugging Face
+            Hub; if not given, the shipped weights of the scene's dimension.
         seed: of every random draw, of paths and in execution.
         max_detour: longest path over the shortest feasible one; a level that takes a longer one is
             met as nearly as it allows.
