@@ -41,7 +41,7 @@ def commands(language):
     """The commands `legibility …` of all blocks; those in `bash` would take hours, or a cluster."""
     lines = "\n".join(block.values[0].replace("\\\n", "") for block in blocks(language))
     calls = re.findall(r"^(?:.* -m )?(legibility [^#'\n]+)", lines, re.MULTILINE)
-    return [call.strip() for call in calls]
+    return list(dict.fromkeys(call.strip() for call in calls))
 
 
 COMMANDS = commands("sh")
