@@ -61,28 +61,18 @@ docs: $(STAMP) ## build the site into build/docs; a warning is an error
 
 weights: $(MODELS:%=weights-%) ## make all shipped weights from nothing; interrupted, it resumes
 
-# Data of stage 1, and demonstrations in the robot's own workspace; the teacher (stage 1), stage 2
-# and the student, which is shipped; then the baselines.
+# Every stage of the model, then the baselines, which learn from the same demonstrations.
 weights-%: ROBOT = $(if $(findstring panda,$*),panda,2d)
-weights-%: DATA = data --dim $(if $(findstring panda,$*),3,2) --seed 0 --workers $(WORKERS)
-weights-%: FROM = --data $(RUNS)/$*/data --seed 0
-weights-%: SHOWN = --data $(RUNS)/$*/shown --seed 0
-weights-%: AND = $(SHOWN) --validation $(RUNS)/$*/policy/validation
+weights-%: DIM = $(if $(findstring panda,$*),3,2)
+weights-%: SHOWN = --data $(RUNS)/$*/shown --seed 0 --validation $(RUNS)/$*/policy/validation
 weights-%: SHIPPED = src/legibility/weights
 weights-%: $(STAMP)
-	$(LEGIBILITY) $(DATA) --scenes $(SCENES) --views 4 --per-scene 25 --out $(RUNS)/$*/data
-	$(LEGIBILITY) $(DATA) --scenes $(DEMONSTRATED) --regime dragan --views 1 --demonstrations 4 \
-		--out $(RUNS)/$*/shown
-	$(LEGIBILITY) train path $(FROM) --steps $(STEPS) --workers $(WORKERS) \
-		--out $(RUNS)/$*/path --weights $(RUNS)/$*/teacher
-	$(LEGIBILITY) train policy $(SHOWN) --steps $(POLICY_STEPS) --workers $(WORKERS) \
-		--out $(RUNS)/$*/policy --weights $(RUNS)/$*/teacher
-	$(LEGIBILITY) train distill --teacher $(RUNS)/$*/teacher $(FROM) \
-		--validation $(RUNS)/$*/path/validation \
-		--out $(RUNS)/$*/student --weights $(SHIPPED)/$*
-	$(LEGIBILITY) train diffusion-policy $(AND) --steps $(POLICY_STEPS) \
+	$(LEGIBILITY) train all --dim $(DIM) --seed 0 --scenes $(SCENES) --demonstrated $(DEMONSTRATED) \
+		--steps $(STEPS) --policy-steps $(POLICY_STEPS) --workers $(WORKERS) \
+		--out $(RUNS)/$* --weights $(SHIPPED)/$*
+	$(LEGIBILITY) train diffusion-policy $(SHOWN) --steps $(POLICY_STEPS) \
 		--out $(RUNS)/$*/diffusion-policy --weights $(SHIPPED)/diffusion-policy-$(ROBOT)
-	$(LEGIBILITY) train legibility-diffuser $(AND) --steps $(POLICY_STEPS) \
+	$(LEGIBILITY) train legibility-diffuser $(SHOWN) --steps $(POLICY_STEPS) \
 		--out $(RUNS)/$*/legibility-diffuser --weights $(SHIPPED)/legibility-diffuser-$(ROBOT) \
 		--json results/tuning-legibility-diffuser-$(ROBOT).json
 
@@ -91,7 +81,8 @@ results: $(STAMP) ## measure what is missing or out of date of experiments.toml 
 	$(MAKE) report
 
 report: $(STAMP) ## render docs/results.md and the model cards
-	$(LEGIBILITY) report results --weights src/legibility/weights
+	$(LEGIBILITY) report results --out docs/results.md --pictures results \
+		--weights src/legibility/weights
 
 bench: $(STAMP) ## measure the speed of this machine; leave it alone meanwhile
 	$(LEGIBILITY) bench --json results/bench-cpu.json

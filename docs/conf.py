@@ -20,8 +20,9 @@ from sphinx import addnodes
 from sphinx.util.typing import stringify_annotation
 
 import legibility
-from legibility import cli
 from legibility.checks import Array
+from legibility.cli import main
+from legibility.cli.verbs import VERBS
 
 project = "Legibility Modulator"
 author = copyright = "Legibility Modulator contributors"
@@ -65,10 +66,10 @@ for _name in ("metrics", "labels"):
 def verbs() -> str:
     """The help of every verb, as Markdown."""
     parts = []
-    for verb in cli._VERBS:
+    for verb in VERBS:
         shown = io.StringIO()
         with contextlib.redirect_stdout(shown):
-            cli.main([*verb.split(), "--help"])
+            main([*verb.split(), "--help"])
         text = re.sub(r"^ *-+ *\n", "", shown.getvalue(), flags=re.MULTILINE)
         parts += [f"## legibility {verb}", f"```text\n{text.strip()}\n```"]
     return "\n\n".join(parts)
@@ -110,7 +111,7 @@ def link_code(app, doctree: nodes.document, docname: str) -> None:
         name, call, _ = node.astext().partition("(")
         if call and not re.search(r"[._]", name):  # `Box(…)` may be somebody else's
             continue
-        if (entry := named.get(name.removeprefix("lg."))) is not None:
+        if (entry := named.get(re.sub(r"^(lg|legibility)\.", "", name))) is not None:
             link = nodes.reference("", "", internal=True, reftitle=entry[0])
             link["refuri"] = app.builder.get_relative_uri(docname, entry[1]) + "#" + entry[2]
             node.replace_self(link)

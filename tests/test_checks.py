@@ -1,5 +1,6 @@
 """Each check returns the value it was given, or names it and what is allowed."""
 
+from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 
@@ -200,3 +201,43 @@ def test_prior_array_rejects(prior):
 def test_posterior_array_rejects(posterior):
     with pytest.raises(InvalidInputError, match=r"^posterior must"):
         checks.posterior_array(posterior)
+
+
+@dataclass(frozen=True)
+class Settings:
+    kind: str = checks.choice("plain", ("plain", "fancy"))
+    parts: tuple[str, ...] = checks.choice((), ("left", "right"))
+    arm: str | None = checks.choice(None, ("panda",), more="FILE")
+    env: str | None = checks.choice(None, ("2d", "panda"))
+
+    def __post_init__(self):
+        checks.check_choices(self)
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"kind": "fancy"}, {"parts": ("right", "left")}, {"arm": "a.yaml"}, {"env": "2d"}]
+)
+def test_choices(given):
+    found = Settings(**given)
+    assert all(getattr(found, name) == value for name, value in given.items())
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"kind": "fanci"}, "kind must be one of plain, fancy, got 'fanci'; did you mean fancy?"),
+        ({"kind": None}, "kind must be one of plain, fancy, got None"),
+        ({"kind": 3}, "kind must be one of plain, fancy, got 3"),
+        ({"parts": ("left", "up")}, "parts must be one of left, right, got 'up'"),
+        ({"env": "x"}, "env must be one of 2d, panda, got 'x'"),
+    ],
+)
+def test_wrong_choices(given, message):
+    with pytest.raises(InvalidInputError) as caught:
+        Settings(**given)
+    assert str(caught.value) == message
+
+
+def test_suggestions_by_other_spellings():
+    assert checks.did_you_mean("dail", {"dial": "evaluate dial"}) == "; did you mean evaluate dial?"
+    assert checks.did_you_mean("zzz", {"dial": "evaluate dial"}) == ""

@@ -611,7 +611,7 @@ class TestPretrained:
         with pytest.raises(InvalidInputError, match=r"got guidance 0\.3 and steps None"):
             model.plan_many([scene], [0], 1.0, guidance=0.3)
 
-    @pytest.mark.parametrize("name", ["no-such-model", "", "..", "../weights", "a/b", "a\0b"])
+    @pytest.mark.parametrize("name", ["no-such-model", "", "..", "../weights", "a\0b"])
     def test_no_such_weights(self, tmp_path, monkeypatch, name):
         monkeypatch.chdir(tmp_path)
         with pytest.raises(CheckpointError):

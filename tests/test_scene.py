@@ -568,3 +568,17 @@ def test_clearance_moves_and_scales_with_the_scene(seed, dim, scale, offset):
         atol=1e-9 * max(scale, 1e3),
     )  # fmt: skip
     assert large.size == pytest.approx(scale * scene.size)
+
+
+def test_scenes_that_are_alike():
+    def scene(x, *obstacles):
+        return Scene(START, [[x, 0.6], GOALS[1]], obstacles=obstacles)
+
+    one = scene(0.8, Box([0.5, 0.5], [0.1, 0.2], 0.3))
+    near = scene(0.801, Box([0.5, 0.5], [0.1, 0.2001], 0.3))
+    assert one.alike(one, 0)
+    assert one.alike(Scene([0.1, 0.1], one.goals, obstacles=one.obstacles), 0)
+    assert one.alike(near, 0.0011)
+    assert not one.alike(near, 0.0009)
+    assert not one.alike(scene(0.8), 1)
+    assert not one.alike(scene(0.8, Ball([0.5, 0.5], 0.1)), 1)

@@ -10,10 +10,13 @@ from .intent.field import Field, InformationPotentialField
 from .intent.observer import Observer
 from .motion.archive import Archive, build_archive
 from .motion.path import Path
+from .motion.recording import Recording
 from .obstacles import Ball, Box, Polygon
 from .scene import Scene
 
 if TYPE_CHECKING:
+    from .data.recordings import read_recordings
+    from .evaluation.scoring import Score, score
     from .modulator import Modulator
     from .motion.timed import Motion
     from .robots.arm import Arm
@@ -35,13 +38,17 @@ __all__ = [
     "Observer",
     "Path",
     "Polygon",
+    "Recording",
     "Rollout",
     "Scene",
+    "Score",
     "__version__",
     "build_archive",
     "errors",
     "labels",
     "metrics",
+    "read_recordings",
+    "score",
 ]
 
 _LAZY = {
@@ -50,6 +57,9 @@ _LAZY = {
     "Modulator": "modulator",
     "Motion": "motion.timed",
     "Rollout": "rollout",
+    "Score": "evaluation.scoring",
+    "read_recordings": "data.recordings",
+    "score": "evaluation.scoring",
 }
 """Loaded on first use, since some load torch or much of SciPy."""
 

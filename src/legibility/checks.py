@@ -1,7 +1,10 @@
 """Checks of arguments, shared by all modules: each returns the value as an array or raises."""
 
+import dataclasses
 import operator
 import secrets
+from collections.abc import Iterable, Mapping
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -155,11 +158,52 @@ FRAMES = ("world", "base")
 
 def frame_name(frame: Any, arm: object | None) -> str:
     """One of `FRAMES`; base needs an arm."""
-    allowed = FRAMES if arm is not None else FRAMES[:1]
-    if frame not in allowed:
-        which = ", ".join(allowed) if arm is not None else "world without an arm"
-        raise InvalidInputError(f"frame must be one of {which}, got {frame!r}")
-    return frame
+    if arm is None:
+        return one_of("frame", frame, FRAMES[:1], more=" without an arm")
+    return one_of("frame", frame, FRAMES)
+
+
+def one_of(name: str, value: Any, allowed: Iterable[Any], *, more: str = "") -> Any:
+    """One of the `allowed` values; the error names them, what `more` there is, and the nearest."""
+    choices = tuple(allowed)
+    if isinstance(value, str | Integral) and value in choices:
+        return value
+    raise InvalidInputError(
+        f"{name} must be one of {', '.join(map(str, choices))}{more}, got {_short(value)}"
+        f"{did_you_mean(value, map(str, choices))}"
+    )
+
+
+def did_you_mean(word: Any, known: Iterable[str] | Mapping[str, str]) -> str:
+    """The end of an error about a `word` that resembles a `known` one; empty if it does not.
+
+    Of a mapping the values are suggested for the keys.
+    """
+    import difflib
+
+    names = known if isinstance(known, Mapping) else {name: name for name in known}
+    near = difflib.get_close_matches(str(word).lower(), names, 1)
+    return f"; did you mean {names[near[0]]}?" if near else ""
+
+
+def choice(default: Any, allowed: Iterable[Any], *, more: str = "") -> Any:
+    """A field of a dataclass of settings that takes one of the `allowed` values.
+
+    A field of tuples takes several, and None may stand for a value that is not given. The command
+    line shows the values; `check_choices` refuses others, unless there are `more`: FILE, say.
+    """
+    metadata = {"allowed": tuple(allowed), "more": more}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def check_choices(settings: Any) -> None:
+    """Raise unless each `choice` of a dataclass is one of its values, or its default."""
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if "allowed" not in field.metadata or field.metadata["more"] or value is field.default:
+            continue
+        for entry in value if isinstance(value, tuple) else (value,):
+            one_of(field.name, entry, field.metadata["allowed"])
 
 
 def count(name: str, value: Any, *, low: int = 1) -> int:

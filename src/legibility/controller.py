@@ -7,7 +7,7 @@ from collections.abc import Generator
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,14 +18,14 @@ from .drivers import Driver
 from .envs.guard import Barriers, Planes, safe_actions
 from .errors import InvalidInputError, InvalidSceneError
 from .intent.metrics import SCORE_POINTS
-from .models.continuation import Rest, brought, continuation, mended
+from .models.continuation import Rest, brought, caught_up, continuation, mended
 from .models.path_sampler import PathSampler, Sampling
 from .motion.archive import scene_archive
 from .motion.library import curve_library
 from .motion.path import Path
 from .motion.rough_archive import rough_archive
 from .motion.tracking import PathTracker
-from .parts import Parts, finished
+from .parts import Parts
 from .pilot import Pilot
 from .rollout import PATIENCE, RESTARTS
 from .scene import DEFAULT_WORKSPACE, START_OVERSHOOT, Scene
@@ -43,6 +43,7 @@ default size; it grows with the room."""
 # of a step.
 _SLOW, _STILL, _NOISE, _JUMP = 0.2, 0.5, 0.1, 10.0
 _LAG = 0.3
+_WHILE_PLANNING = 5  # times the patience with a robot that stands while a plan is made
 
 
 class Controller:
@@ -105,7 +106,7 @@ class Controller:
         # Those for which the last plan was begun; None asks for another.
         self._planned: tuple[Scene, Scene] | None = scene, scene
         self._planned_at = 0.0  # distance from the path [m] when it was
-        self._restarts = 0
+        self._restarts = self._waits = 0
         self._planning: Generator[Path | None, None, Path | None] | None = None
         # Read and sorted now, not in a step.
         _ = curve_library(scene.dim, path.observer.detour).by_length
@@ -132,10 +133,19 @@ class Controller:
 
     @property
     def stalled(self) -> bool:
-        """Whether the robot has made no progress for two seconds."""
-        patience = max(1, round(PATIENCE / self.dt))
-        standing = len(self._states) - self._still_since
-        return not self._done and max(self._pilot.idle[0], standing) > patience
+        """Whether the robot has made no progress for two seconds, or ten while a plan is made."""
+        patience = self._patience * (_WHILE_PLANNING if self.planning else 1)
+        return not self._done and max(self._pilot.idle[0], self._standing) > patience
+
+    @property
+    def _patience(self) -> int:
+        """Steps without progress after which a robot has stalled."""
+        return max(1, round(PATIENCE / self.dt))
+
+    @property
+    def _standing(self) -> int:
+        """Steps since the robot last moved."""
+        return len(self._states) - self._still_since
 
     @property
     def posterior(self) -> Array:
@@ -233,7 +243,7 @@ class Controller:
 
     def _is_stale(self) -> bool:
         """Whether the last plan was begun for another scene, or another plan is asked for."""
-        return self._planned is None or not _alike(self._planned[1], self._now, _NOISE * self.limit)
+        return self._planned is None or not self._now.alike(self._planned[1], _NOISE * self.limit)
 
     def _move(self, here: Array, posture: Array | None) -> None:
         """Take note of the position."""
@@ -285,9 +295,9 @@ class Controller:
         scene = rest.begun.scene
         archive = yield from self._archive_of.parts(scene, path.target, path.observer)
         path, fault = yield from brought(rest, archive, self._max_detour)
-        if fault == np.inf:
-            return None
-        return (yield from self._from_here(path, since))
+        if fault == np.inf:  # one that sets out in another direction, say
+            path = yield from mended(rest)
+        return None if path is None else (yield from self._from_here(path, since))
 
     def _left(self, path: Path, since: int) -> Rest:
         """What is left of a path from where the robot was at a step."""
@@ -305,7 +315,7 @@ class Controller:
         moved = yield from mended(self._left(path, since))
         if moved is None or now == len(self._states) - 1:
             return moved
-        return finished(mended(self._left(moved, now)))  # the robot will not wait
+        return caught_up(self._left(moved, now))  # the robot will not wait
 
     def _plan_until(self, deadline: float) -> None:
         """Go on planning until a time is over, or there is nothing to plan."""
@@ -316,7 +326,8 @@ class Controller:
                 path = end.value
                 self._planning, self.problem = None, None
                 if path is None:  # what was found does not fit any more
-                    self._planned = None
+                    self._planned = self.scene, self._now
+                    self._planning = self._new_rests()
             except InvalidSceneError as problem:
                 path = None
                 self._planning, self.problem = None, str(problem)
@@ -332,6 +343,9 @@ class Controller:
         fresh = not off or self._restarts < RESTARTS
         self._restarts += off and fresh
         self._pilot.take(0, replace(path, legibility=self._level), fresh=fresh)
+        if self._standing > self._patience and self._waits < RESTARTS:  # for this plan
+            self._still_since = len(self._states) - 1
+            self._waits += 1
         self._planned_at = 0.0
         if self.replans[-1:] != [len(self._states) - 1]:
             self.replans.append(len(self._states) - 1)
@@ -399,21 +413,3 @@ def _diagonal(dim: int) -> float:
     """That of the default workspace [m]."""
     low, high = np.array(DEFAULT_WORKSPACE[dim])
     return float(np.linalg.norm(high - low))
-
-
-def _alike(scene: Scene, other: Scene, tolerance: float) -> bool:
-    """Whether two scenes are built alike, and no number but of their starts differs by more."""
-    if scene is other:
-        return True
-    ours, theirs = (_numbers({**s.to_dict(), "start": []}) for s in (scene, other))
-    return ours.keys() == theirs.keys() and all(
-        abs(value - theirs[place]) <= tolerance for place, value in ours.items()
-    )
-
-
-def _numbers(value: Any, place: str = "") -> dict[str, float]:
-    """All numbers in plain values by their places."""
-    if isinstance(value, dict | list | tuple):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        return {k: v for name, item in items for k, v in _numbers(item, f"{place}/{name}").items()}
-    return {place: float(value)}

@@ -21,6 +21,10 @@ class CheckpointError(LegibilityError):
     """Weights or training state are missing, corrupted or of another model."""
 
 
+class HubError(CheckpointError):
+    """Weights cannot be had from the Hugging Face Hub, or pushed to it; the message says why."""
+
+
 class DatasetError(LegibilityError):
     """A dataset is missing, incomplete, corrupted or was made with another configuration."""
 

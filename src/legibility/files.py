@@ -7,6 +7,7 @@ keys and numbers that programs read differently are errors.
 import contextlib
 import hashlib
 import json
+import logging
 import os
 import re
 import secrets
@@ -17,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InvalidInputError, OutputError
+
+_LOG = logging.getLogger(__name__)
 
 _DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
@@ -49,9 +52,37 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             os.replace(temporary, final)
     except OSError as cause:
         raise OutputError(f"cannot write {path}: {cause.strerror or cause}") from cause
+    else:
+        _LOG.info("wrote %s", path)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+@contextlib.contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Yield a new folder beside `path`; it becomes `path`, or is removed on failure.
+
+    Raises:
+        OutputError: `path` is there already, unless it is an empty folder, or cannot be written.
+    """
+    path = at_home(path)
+    final = Path(os.path.realpath(path))
+    temporary = final.parent / f".{secrets.token_hex(8)}"
+    try:
+        if final.exists() and (not final.is_dir() or any(final.iterdir())):
+            raise OutputError(f"cannot write the folder {path}: it is there and not empty")
+        temporary.mkdir(parents=True)
+        yield temporary
+        if final.exists():
+            final.rmdir()
+        temporary.rename(final)
+    except OSError as cause:
+        if isinstance(cause, OutputError):
+            raise
+        raise OutputError(f"cannot write the folder {path}: {cause.strerror or cause}") from cause
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -86,10 +117,12 @@ def file_hash(path: str | Path) -> str:
 def read_text(path: str | Path, what: str, error: type[Exception] = InvalidInputError) -> str:
     """The text of `path`; if unreadable, an `error` that calls the file a `what`."""
     try:
-        return at_home(path).read_text(encoding="utf-8-sig")
+        text = at_home(path).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as cause:
         reason = cause.strerror if isinstance(cause, OSError) else "not a text file in UTF-8"
         raise error(f"cannot read the {what} {path}: {reason}") from cause
+    _LOG.info("read the %s %s", what, path)
+    return text
 
 
 def read_document(path: str | Path, what: str, error: type[Exception] = InvalidInputError) -> Any:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path as FilePath
@@ -18,17 +20,20 @@ from .checks import (
     frame_name,
     legibility_levels,
     levels_for_each,
+    one_of,
     positive,
     seed_or_entropy,
 )
 from .controller import Controller
 from .drivers import Driver, Policy
 from .envs import vector_type
-from .envs.fleet import Fleet, is_vector
+from .envs.fleet import Fleet, fleet_of, is_vector
 from .errors import CheckpointError, InvalidInputError, InvalidSceneError
+from .files import at_home, read_text, write_bytes
 from .intent.observer import Observer
 from .models.configuration import BACKENDS, PathDiffuserConfig
 from .models.continuation import Rest, continuation
+from .models.hub import CARD, plain_card, upload
 from .models.path_diffuser import PathDiffuser
 from .models.path_policy import PathPolicy
 from .models.path_sampler import PathSampler, Sampling, Tasks, nearest_candidates
@@ -44,6 +49,8 @@ from .whole_arm import checked_arm, freed, keeps_off, paths_off_obstacles
 if TYPE_CHECKING:
     from .robots.arm import Arm
 
+_LOG = logging.getLogger(__name__)
+
 
 class Modulator:
     """Plans motions of any legibility, from most ambiguous (−1) to most legible (1).
@@ -58,6 +65,7 @@ class Modulator:
             guidance and number of steps.
         graphs: folder that keeps the graphs of the backend `onnx`; a missing one is exported, which
             needs onnxscript and up to a minute.
+        card: the model card, in Markdown.
 
     Raises:
         InvalidInputError: the stages have different dimensions, or an unknown backend.
@@ -72,6 +80,7 @@ class Modulator:
         training: Mapping[str, TrainingRecord | None] | None = None,
         backend: str = "torch",
         graphs: FilePath | None = None,
+        card: str | None = None,
     ) -> None:
         self.path_diffuser = path_diffuser.eval().requires_grad_(False)
         self.path_policy = path_policy
@@ -82,9 +91,8 @@ class Modulator:
                     f"the stages must have one dimension, got {path_diffuser.config.dim} and "
                     f"{path_policy.config.dim}"
                 )
-        if backend not in BACKENDS:
-            raise InvalidInputError(f"backend must be one of {BACKENDS}, got {backend!r}")
-        self.name, self.training = name, training or {}
+        one_of("backend", backend, BACKENDS)
+        self.name, self.training, self.card = name, training or {}, card
         sample, self._policy = path_diffuser.sample, path_policy
         if backend == "onnx":
             from .models.onnx import OnnxPathDiffuser, OnnxPathPolicy, load_graph
@@ -93,41 +101,97 @@ class Modulator:
             if path_policy is not None:
                 self._policy = OnnxPathPolicy(path_policy, load_graph(path_policy, graphs))
         self.sampler = PathSampler(path_diffuser, sample, name)
+        _LOG.info("%s runs by %s", name, backend)
 
     @property
     def config(self) -> PathDiffuserConfig:
         """The settings of stage 1."""
         return self.path_diffuser.config
 
+    def stage_2(self) -> PathPolicy:
+        """Stage 2.
+
+        Raises:
+            CheckpointError: the model has none; the message says how to get one.
+        """
+        if self.path_policy is None:
+            raise CheckpointError(
+                f"the model {self.name} has no stage 2 to move a robot with: `legibility train "
+                "policy --data DIR --out DIR --weights FOLDER` adds one to those in FOLDER, and "
+                "`legibility train all --out DIR` makes a model with both stages"
+            )
+        return self.path_policy
+
     @classmethod
     def from_pretrained(
-        cls, name_or_folder: str | FilePath, *, backend: str = "torch"
+        cls, name_or_folder: str | FilePath, *, revision: str | None = None, backend: str = "torch"
     ) -> Modulator:
-        """Load weights that came with the package, or from a folder.
+        """Load weights that came with the package, from a folder or from the Hugging Face Hub.
 
         Args:
-            name_or_folder: one of `pretrained_names()`, or a folder with `config.json`,
-                `path.safetensors` and, for stage 2, `policy.safetensors`.
+            name_or_folder: one of `pretrained_names()`, a folder with `config.json`,
+                `path.safetensors` and, for stage 2, `policy.safetensors`, or such a repository on
+                the Hub, `USER/REPOSITORY` or `USER/REPOSITORY@REVISION`, of which nothing else is
+                downloaded.
+            revision: of the repository, a branch, a tag or a commit; its main branch if not given.
             backend: what runs the networks, `torch` or `onnx`, see `Modulator`.
 
         Raises:
-            CheckpointError: there are no such weights, or they are corrupted.
+            CheckpointError: there are no such weights, or they are corrupted; `HubError`, if they
+                cannot be downloaded.
             MissingExtraError: onnxruntime is asked for and not installed.
         """
-        folder = pretrained_folder(name_or_folder)
+        folder = pretrained_folder(name_or_folder, revision)
         stages, training = load_stages(folder)
         if "path" not in stages:
             raise CheckpointError(f"{folder} has no stage 1")
+        here, card = at_home(name_or_folder), folder / CARD
         return cls(
-            stages["path"], stages.get("policy"),
-            name=folder.resolve().name, training=training, backend=backend, graphs=folder,
+            stages["path"], stages.get("policy"), backend=backend, graphs=folder, training=training,
+            name=here.resolve().name if here.is_dir() else str(name_or_folder),
+            card=read_text(card, "model card", CheckpointError) if card.is_file() else None,
         )  # fmt: skip
 
     def save_pretrained(self, folder: str | FilePath) -> None:
-        """Write `config.json` and the weights of each stage to `folder`."""
+        """Write `config.json`, the weights of each stage and the card, if any, to `folder`."""
         save_stage(folder, "path", self.path_diffuser, self.training.get("path"))
         if self.path_policy is not None:
             save_stage(folder, "policy", self.path_policy, self.training.get("policy"))
+        if self.card is not None:
+            write_bytes(at_home(folder) / CARD, self.card.encode())
+
+    def push_to_hub(
+        self,
+        repository: str,
+        *,
+        branch: str | None = None,
+        private: bool | None = None,
+        token: str | None = None,
+    ) -> str:
+        """Push the weights and their model card to the Hugging Face Hub, in one commit.
+
+        `legibility report RESULTS --weights DIR` writes the card of each folder of weights in DIR,
+        with the metrics that were measured; without it the card says that none were.
+
+        Args:
+            repository: `USER/REPOSITORY`, made if it is missing.
+            branch: made if it is missing; the main one if not given.
+            private: whether a new repository is private; the account's default if not given.
+            token: of an account that may write; that of `hf auth login` or HF_TOKEN if not given.
+
+        Returns:
+            The address of the commit.
+
+        Raises:
+            HubError: there is no token, or the Hub refuses it or cannot be reached.
+            InvalidInputError: `repository` is no such name.
+        """
+        with tempfile.TemporaryDirectory() as folder:
+            self.save_pretrained(folder)
+            loaded, loads = (f'from_pretrained("{name}")' for name in (self.name, repository))
+            card = (self.card or plain_card(repository)).replace(loaded, loads)
+            write_bytes(FilePath(folder) / CARD, card.encode())
+            return upload(FilePath(folder), repository, branch=branch, private=private, token=token)
 
     def archive(self, scene: Scene, target: int = 0, observer: Observer | None = None) -> Archive:
         """The archive of a scene by which labels are read; cached."""
@@ -326,15 +390,16 @@ class Modulator:
         An environment that was never reset is reset with `seed` first.
 
         Args:
-            env: an environment of this package, in any wrappers that leave actions alone.
+            env: an environment of this package, in any wrappers that leave actions alone, or one of
+                your own that has what `legibility.envs.Environment` names.
             target: index of the intended goal; if not given, that of `path` or of the environment.
             legibility: ℓ in [−1, 1].
             seed: of the paths and actions drawn; None draws others each time.
             path: the path to follow instead of planning one; it must start at the robot.
             replan: whether to replan the rest of the motion when a push has taken the robot off
-                its path by more than `tolerance` or its goal was moved: it sets out in the
-                direction of motion, and ℓ is that of the whole. Without it the robot goes back to
-                the path.
+                its path by more than `tolerance`, or its goal was moved or, in an environment of
+                your own, anything else in the scene: it sets out in the direction of motion, and ℓ
+                is that of the whole. Without it the robot goes back to the path.
             tolerance: [m]; the largest action's length if not given.
             observer, exact, refine, max_detour, num_candidates, guidance, steps: see `plan`.
             driver: moves the robot instead of stage 2.
@@ -387,7 +452,7 @@ class Modulator:
         seed = seed_or_entropy("seed", seed)
         driver, sampling = self._driver(driver), Sampling(guidance, steps).checked(self.config)
         max_detour = _detour(max_detour)
-        fleet = Fleet(env, seed)
+        fleet = fleet_of(env, seed)
         self._check_fleet(fleet)
         tolerance = fleet.limit if tolerance is None else positive("tolerance", tolerance)
         levels = levels_for_each(legibility, fleet.size)
@@ -499,8 +564,8 @@ class Modulator:
                     f"driver must be a legibility.drivers.Driver, got {driver!r}"
                 )
             return driver
-        if self._policy is None:
-            raise CheckpointError(f"the model {self.name} has no stage 2 to move a robot with")
+        self.stage_2()
+        assert self._policy is not None
         return Policy(self._policy)
 
     def _check_scene(self, scene: Scene) -> None:
@@ -517,7 +582,8 @@ class Modulator:
             raise InvalidInputError(
                 f"the model {self.name} moves in {self.config.dim}D, the environment is {dim}D"
             )
-        if self.path_policy is not None and fleet.limit != self.path_policy.config.limit:
+        ours = type(fleet) is Fleet  # in an environment of your own a robot may take other steps
+        if ours and self.path_policy is not None and fleet.limit != self.path_policy.config.limit:
             raise InvalidInputError(
                 f"the model {self.name} acts within {self.path_policy.config.limit} m a step, "
                 f"the environment's limit is {fleet.limit} m"

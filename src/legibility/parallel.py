@@ -21,7 +21,7 @@ from functools import partial
 from multiprocessing import resource_tracker
 from typing import Any
 
-from .checks import count
+from .checks import count, did_you_mean
 from .errors import InvalidInputError, MissingExtraError, WorkerError
 
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
@@ -35,6 +35,8 @@ _PATIENCE = 5.0
 
 _LOST = 30.0
 """Time for a finished result to arrive [s]."""
+
+_LOG = logging.getLogger(__name__)
 
 _UNGUARDED = (
     "a script must start workers below `if __name__ == '__main__':`, since each of them imports it"
@@ -64,12 +66,14 @@ def pool(workers: int = 1, cluster: str | None = None) -> Iterator[Each]:
     count("workers", workers)
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise WorkerError(_UNGUARDED)  # this process would start others, and those others
+    _LOG.info("work is done by %s", cluster or f"{workers} processes")
     if cluster is None:
         yield partial(_in_processes, workers)
         return
     if cluster != "local" and not cluster.startswith(("tcp://", "tls://")):
         raise InvalidInputError(
             f"cluster must be local or an address such as tcp://host:8786, got {cluster!r}"
+            f"{did_you_mean(cluster, ['local'])}"
         )
     if cluster != "local" and workers != 1:
         raise InvalidInputError(f"the cluster at {cluster} has its own workers: leave workers out")

@@ -12,7 +12,7 @@ from .curves import NUM_WAYPOINTS, resample
 from .drivers import Driver
 from .envs.fleet import Fleet
 from .envs.guard import CORRECTED
-from .errors import InvalidInputError
+from .errors import InvalidInputError, InvalidSceneError
 from .intent.metrics import SCORE_POINTS, time_to_confidence
 from .models.continuation import Rest
 from .motion.path import Path
@@ -32,6 +32,7 @@ RESTARTS = 3
 """How often new paths restart that time, for a robot that leaves them as well."""
 
 _LOST = 6.0
+_LEAST_PATIENCE = 10  # steps, of a robot whose steps are long
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +45,13 @@ class Rollout:
         actions: `(T, D)` [m], the displacements that were sent.
         success: whether the robot reached its goal, as the environment judges.
         reason: why it ended: `reached`, `stalled` (no progress along the path), `lost` (far from
-            the path) or `time` (the environment's limit on steps).
+            the path), `time` (the environment's limit on steps) or `ended` (by an environment of
+            your own, for a reason of its own).
         replans: the steps at which a new path was planned.
         deviation: `(T,)` [m], distance from the path that was followed at the time.
         step_seconds: duration of a control step [s].
-        wall_contacts: steps in which a wall of the workspace stopped the robot.
+        wall_contacts: steps in which a wall of the workspace stopped the robot, or after which one
+            of your own environment was beyond it.
         contacts: steps in which the end effector ran into an obstacle, or within the scene's
             `goal_radius` of a block that is not the target.
         corrections: steps in which `safe_actions` changed the driver's action.
@@ -155,7 +158,8 @@ def follow(
         paths: a path for each, from its position.
         driver: moves them.
         replan: gives a new rest of the motion to robots that a push has taken off their paths by
-            more than `tolerance` and to robots whose goal was moved; without it they go back.
+            more than `tolerance` and to robots whose scene has changed; without it they go back.
+            Where there is no way, they keep to their old paths, and off what is in the way.
         tolerance: [m].
 
     Raises:
@@ -179,7 +183,8 @@ class _Run:
         self.fleet = fleet
         self.pilot = Pilot(paths, driver, fleet.positions, fleet.limit, fleet.workspace)
         self.active = np.ones(size, dtype=bool)
-        self.success, self.ended = np.zeros((2, size), dtype=bool)
+        self.success, self.terminated, self.truncated = np.zeros((3, size), dtype=bool)
+        self.scenes = fleet.scenes  # for which the paths were planned
         self.reasons = np.full(size, "", dtype=object)
         self.steps, self.restarts = np.zeros((2, size), dtype=int)
         self.wall_contacts, self.contacts, self.corrections = np.zeros((3, size), dtype=int)
@@ -200,7 +205,7 @@ class _Run:
     def step(self, actions: Array) -> None:
         """Send the actions and record the step."""
         fleet, active = self.fleet, self.active
-        self.success, self.ended = fleet.step(actions, active)
+        self.success, self.terminated, self.truncated = fleet.step(actions, active)
         positions = np.where(active[:, None], fleet.positions, self.pilot.positions)
         self.pilot.moved(positions, actions)
         self.states.append(positions)
@@ -219,21 +224,29 @@ class _Run:
         lost = np.zeros_like(self.active)
         if pilot.driver.with_path and not may_replan:
             lost = pilot.deviation > _LOST * fleet.limit
-        stalled = pilot.idle >= round(PATIENCE / fleet.step_seconds)
-        reasons = {"reached": self.success, "time": self.ended, "lost": lost, "stalled": stalled}
+        stalled = pilot.idle >= max(_LEAST_PATIENCE, round(PATIENCE / fleet.step_seconds))
+        reasons = {
+            "reached": self.success, "time": self.truncated, "ended": self.terminated,
+            "lost": lost, "stalled": stalled,
+        }  # fmt: skip
         for reason, happened in reasons.items():
             self.reasons[self.active & happened & (self.reasons == "")] = reason
         self.active &= self.reasons == ""
 
     def replan(self, plan: Replan, tolerance: float) -> None:
-        """Give new paths to robots that were pushed off theirs or whose goal was moved."""
-        fleet, pilot = self.fleet, self.pilot
+        """Give new paths to robots that were pushed off theirs or whose scene has changed."""
+        fleet, pilot, scenes = self.fleet, self.pilot, self.fleet.scenes
         moved = np.linalg.norm(fleet.goals - pilot.goals, axis=-1) > 1e-9
-        rows = np.flatnonzero(self.active & (moved | (pilot.deviation > tolerance))).tolist()
-        scenes = fleet.scenes if rows else []
-        for row in rows:
+        changed = np.array([now != then for now, then in zip(scenes, self.scenes, strict=True)])
+        off = moved | changed | (pilot.deviation > tolerance)
+        for row in np.flatnonzero(self.active & off).tolist():
             states = np.stack([positions[row] for positions in self.states])
-            path = plan(row, pilot.rest(row, scenes[row], scenes[row], states))
+            begun = scenes[row].starting_at(states[0])
+            try:
+                path = plan(row, pilot.rest(row, begun, scenes[row], states))
+            except InvalidSceneError:
+                continue
+            self.scenes[row] = scenes[row]
             # A robot that leaves every new path as well restarts its stall timer only a few times.
             fresh = bool(moved[row] or self.restarts[row] < RESTARTS)
             pilot.take(row, path, fresh=fresh)

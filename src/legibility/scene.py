@@ -263,6 +263,15 @@ class Scene:
             max(0.0, min([margin, *(gap for gap in apart if gap >= 0)])),
         )
 
+    def alike(self, other: Scene, tolerance: float) -> bool:
+        """Whether two scenes are built alike, and no number but of their starts differs by more."""
+        if self is other:
+            return True
+        ours, theirs = (_numbers({**s.to_dict(), "start": []}) for s in (self, other))
+        return ours.keys() == theirs.keys() and all(
+            abs(value - theirs[place]) <= tolerance for place, value in ours.items()
+        )
+
     def __eq__(self, other: object) -> bool:
         if self is other:
             return True
@@ -409,6 +418,14 @@ def _snapped(points: Array, workspace: Array, tolerance: float = _ROUNDING) -> A
     most = tolerance * np.linalg.norm(workspace[1] - workspace[0])
     near = (np.abs(points - inside) <= most).all(-1, keepdims=True)
     return np.where(near, inside, points)
+
+
+def _numbers(value: Any, place: str = "") -> dict[str, float]:
+    """All numbers in plain values by their places."""
+    if isinstance(value, dict | list | tuple):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return {k: v for name, item in items for k, v in _numbers(item, f"{place}/{name}").items()}
+    return {place: float(value)}
 
 
 def _check_suffix(path: str | Path) -> None:

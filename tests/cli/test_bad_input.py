@@ -236,7 +236,7 @@ def test_read_only_output(dataset, weights, refused):
         ("--out d --goals 6..2", "goals must"),
         ("--out d --goals 1..3", "goals must"),
         ("--out d --goals few", "goals must be a number or LOW..HIGH, got 'few'"),
-        ("--out d --dim 4", "dim must be 2 or 3"),
+        ("--out d --dim 4", "dim must be one of 2, 3"),
         ("--out d --stream test", "stream must be"),
         ("--out d --label best", "label must be"),
         ("--out d --detour 0.5", "detour must"),

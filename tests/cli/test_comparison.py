@@ -85,8 +85,10 @@ def test_what_is_written(measured, baselines):
 
 
 def test_report(measured, cli, capsys):
-    assert cli("report", measured / "results", "--tables", measured / "tables") == 0
-    page = (measured / "docs" / "results.md").read_text()
+    results, page = measured / "results", measured / "docs" / "results.md"
+    files = ["--out", page, "--pictures", results, "--tables", measured / "tables"]
+    assert cli("report", results, *files) == 0
+    page = page.read_text()
     for kind in ("table1", "unseen", "spectrum"):
         assert f"Measured by `legibility evaluate {kind} " in page
     assert (
@@ -106,6 +108,9 @@ def test_report(measured, cli, capsys):
         ("table1 --diffusion-policy none", "there are no weights 'none'"),
         ("table1 --diffusion-policy block-reach-2d", "has no goal-conditioned policy"),
         ("table1 --model panda-block-reach", "the model or scene 3-D"),
+        ("table1 --method nowhere:plan", "there is no module nowhere in"),
+        ("unseen --method scene.yaml:plan", "there is no module scene in"),
+        ("unseen --method plan", "method must be MODULE:NAME or FILE.py:NAME, got 'plan'"),
         ("unseen --scenes 1", "scenes must be"),
         ("unseen --goals 1..2", "goals must be"),
         ("spectrum --levels 2", "levels must be"),

@@ -2,6 +2,7 @@ import json
 import math
 import os
 import shutil
+import warnings
 from pathlib import Path
 from unittest.mock import ANY
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from legibility.cli import output
-from legibility.errors import CheckpointError, OutputError
+from legibility.errors import CheckpointError, InvalidInputError, OutputError
 from legibility.models.pretrained import pretrained_folder
 
 
@@ -144,3 +145,34 @@ def test_slow_work_is_heard_of_every_half_minute(capsys, clock):
             progress(done, 1000)
     lines = [f"legibility: things {done} of 1000" for done in (4, 8, 12, 16, 20)]
     assert capsys.readouterr().err.splitlines() == lines
+
+
+def test_quiet_prints_nothing(capsys, clock):
+    with output.speaking(quiet=True, verbose=False), output.progress_bar("things") as progress:
+        for done in range(101):
+            clock[0] = 10.0 * done
+            progress(done, 100, "a line")
+        output.show("text", output.table("title", "column"))
+        output.note("note")
+        warnings.warn("warning", stacklevel=1)
+    assert capsys.readouterr() == ("", "")
+    output.show("text")
+    assert capsys.readouterr().out == "text\n"
+
+
+def test_verbose_tells_how_long_things_take(capsys, clock):
+    with output.speaking(quiet=False, verbose=True):
+        clock[0] = 1.5
+        with output.progress_bar("things") as progress:
+            clock[0] = 2.0
+            progress(3, 3)
+    lines = ["legibility: 2.00 s: 3 things in 0.50 s", "legibility: 2.00 s: ended"]
+    assert capsys.readouterr().err.splitlines() == lines
+    with output.timed("nothing"):
+        pass
+    assert capsys.readouterr() == ("", "")
+
+
+def test_quiet_and_verbose():
+    with pytest.raises(InvalidInputError, match="not both"), output.speaking(True, True):
+        pass

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hub import fake_hub
 from stubs import StubModulator
 
 import legibility as lg
@@ -219,3 +220,17 @@ class TestTimed:
     )
     def test_refuses(self, words, message, refused, weights):
         assert message in refused(f"plan scene.yaml {words} --model", weights)
+
+
+def test_weights_on_the_hub(weights, here, cli, monkeypatch, tmp_path_factory, refused, capsys):
+    line = "plan scene.yaml --legibility 0 --json p.json --model"
+    with fake_hub(monkeypatch, tmp_path_factory.mktemp("cache")):
+        Modulator.from_pretrained(weights).push_to_hub("ada/mine", branch="v1")
+        assert cli(line, "ada/mine@v1") == 0
+        model = json.loads(Path("p.json").read_text())["model"]
+        assert model == {**model_record(weights), "name": "ada/mine@v1"}
+        capsys.readouterr()
+        assert "ada/mine on the Hugging Face Hub has no revision 'v2'" in refused(
+            line, "ada/mine@v2"
+        )
+    assert "cannot reach the Hugging Face Hub" in refused(line, "ada/theirs")

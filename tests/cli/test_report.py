@@ -37,7 +37,7 @@ def results(measured, here, capsys):
     return here
 
 
-REPORT = "report results --weights models"
+REPORT = "report results --out docs/results.md --pictures results --weights models"
 
 
 def test_report(results, cli, capsys):
@@ -58,10 +58,18 @@ def test_report(results, cli, capsys):
 
 
 def test_page_elsewhere_links_the_pictures(results, cli):
-    assert cli("report results --out a/b/page.md") == 0
+    assert cli("report results --out a/b/page.md --pictures results") == 0
     assert "(../../results/dial-tiny-dragan.png)" in Path("a/b/page.md").read_text()
     assert not Path("docs").exists()
     assert not Path("models/tiny/README.md").exists()
+
+
+def test_nothing_is_written_that_was_not_named(results, cli, refused):
+    assert "name an output: --out, --pictures, --weights or --tables" in refused("report results")
+    assert cli("report results --out page.md") == 0
+    assert ".png" not in Path("page.md").read_text()
+    assert not list(results.rglob("*.png"))
+    assert not Path("docs").exists()
 
 
 def test_tables(results, cli):
@@ -144,7 +152,7 @@ def test_weights_of_unknown_training(spoil, results, refused):
 
 
 def test_no_results(here, refused):
-    message = refused("report .")
+    message = refused("report . --out page.md")
     assert all(f"{kind}-*.json" in message for kind in KINDS)
 
 
@@ -152,4 +160,4 @@ def test_no_results(here, refused):
 @pytest.mark.parametrize("content", ["", "[1]", "{}", '{"result": {}}', '{"config": 3}'])
 def test_broken_results(kind, content, here, refused):
     Path(f"{kind}-x.json").write_text(content)
-    assert f"{kind}-x.json is not" in refused("report .")
+    assert f"{kind}-x.json is not" in refused("report . --out page.md")

@@ -159,7 +159,9 @@ def test_finished_run_without_its_log_gives_its_weights(run, dataset, cli, tiny,
 HEAVY = {"torch", "scipy", "pyarrow", "joblib", "diffusers", "matplotlib"}
 
 
-@pytest.mark.parametrize("verb", ["data", "train path", "train distill", "train policy"])
+@pytest.mark.parametrize(
+    "verb", ["data", "train all", "train path", "train distill", "train policy"]
+)
 def test_help_loads_nothing_heavy(verb):
     script = "import sys; from legibility.cli import main; main(sys.argv[1:]); print(*sys.modules)"
     words = [*verb.split(), "--help"]
@@ -174,3 +176,78 @@ def test_policy_needs_demonstrations(dataset, tmp_path, refused):
     assert "demonstrations.json" in refused(
         "train policy --steps 2", "--data", dataset, "--out", tmp_path / "out"
     )
+
+
+def test_stage_2_of_others(run, dataset, tiny, refused, cli, tmp_path, capsys):
+    """Stage 2 of other weights is saved beside a new stage 1, if it moves in as many dimensions."""
+    paths = ["--data", dataset, "--validation", dataset, "--out", tmp_path / "o"]
+    assert cli(f"train path --steps 1 {tiny} --policy block-reach-2d", *paths) == 0
+    saved = lg.Modulator.from_pretrained(tmp_path / "o" / "weights")
+    shipped = lg.Modulator.from_pretrained("block-reach-2d")
+    ours, theirs = saved.path_policy.state_dict(), shipped.path_policy.state_dict()
+    assert all((ours[name] == theirs[name]).all() for name in theirs)
+    capsys.readouterr()
+    paths[-1] = tmp_path / "p"
+    words = f"train path --steps 1 {tiny} --policy"
+    assert "policy must move in 2D, got 3D" in refused(f"{words} panda-block-reach", *paths)
+    assert "has no stage 2" in refused(f"{words} diffusion-policy-2d", *paths)
+
+
+SMALL = Path(__file__).parents[2] / "examples" / "small-model.yaml"
+
+
+def test_all_stages_of_a_model(here, cli, one_thread, monkeypatch, capsys):
+    flags = "--seed 3 --scenes 2 --demonstrated 2 --steps 6 --policy-steps 5 --json j.json --out"
+    line = f"train all --settings {SMALL} {flags}"
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("legibility.training.policy.train_policy", stop)
+        assert cli(line, "run") == 130
+    assert "interrupted; the same command resumes" in capsys.readouterr().err
+    taught = Path("run/teacher/path.safetensors")
+    before = taught.stat().st_mtime_ns, taught.read_bytes()
+    log = Path("run/path/log.jsonl").read_bytes()
+    assert cli(line, "run") == 0
+    assert taught.read_bytes() == before[1]
+    assert Path("run/path/log.jsonl").read_bytes() == log, "stage 1 is not trained again"
+    notes = capsys.readouterr().err
+    assert [f"{number} of 5: " in notes for number in range(1, 6)] == [True] * 5
+
+    model = lg.Modulator.from_pretrained("run/weights")
+    assert model.config.distilled
+    assert model.stage_2().config.channels == (8, 16)
+    path, policy = model.training["path"], model.training["policy"]
+    assert path.teacher.training.training["steps"] == 6
+    assert path.teacher.training.digest == path.digest == Dataset.load("run/data").digest
+    assert (policy.training["steps"], policy.demonstrations["number"]) == (5, 4)
+    assert Dataset.load("run/data").config.scenes == 2
+    content = json.loads(Path("j.json").read_text())
+    assert content["seed"] == 3
+    seeds = [content["config"][part]["seed"] for part in content["config"]]
+    assert seeds == [3] * 5
+    assert set(content["model"]) == {"name", "path", "policy", "settings"}
+    assert content["result"]["last"]["policy"]["step"] == 5
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--scenes 0", "scenes must be an integer of at least 1, got 0"),
+        ("--dim 4", "dim must be 2 or 3, got 4"),
+        ("--settings none.yaml", "cannot read the settings file none.yaml"),
+        ("--settings speed.yaml", "the section path has "),
+        ("--settings scene.yaml", "settings must be sections of settings"),
+        ("--weights scene.yaml", "cannot write the weights to scene.yaml"),
+    ],
+)
+def test_all_refuses(words, message, here, refused):
+    Path("speed.yaml").write_text("path: {speed: 1}\n")
+    assert message in refused(f"train all {words} --out run")
+
+
+def test_all_is_one_process(refused, monkeypatch):
+    monkeypatch.setenv("LOCAL_RANK", "0")
+    assert "train all is one process" in refused("train all --out run")

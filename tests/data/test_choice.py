@@ -24,7 +24,7 @@ class TestSelect:
     @staticmethod
     def select(archive, num, efficiency=0.1, seed=0, seen=None):
         rng = np.random.default_rng(seed)
-        return Choice.of(archive).select(seen or archive, num, efficiency, rng)
+        return Choice.of(archive).select(seen or archive, np.linspace(-1, 1, num), efficiency, rng)
 
     def test_reproducible(self, archive):
         one, other = (self.select(archive, 17) for _ in range(2))

@@ -194,8 +194,29 @@ def test_compare_tests_what_it_says():
 
 
 @pytest.fixture(scope="module")
-def table1(modulator, policies):
-    config = Table1Config(rollouts=2, seed=3, search_candidates=64)
+def own(tmp_path_factory):
+    """Names of a planner and a policy of the user's, which go straight."""
+    file = tmp_path_factory.mktemp("own") / "straight.py"
+    file.write_text("""
+import numpy as np
+
+def plan(scene, target):
+    return [scene.start, scene.goals[target]]
+
+class Toward:
+    def __init__(self, scene, target):
+        self.goal = scene.goals[target]
+
+    def act(self, position, limit):
+        gap = self.goal - position
+        return gap * min(1, limit / (2 * np.abs(gap).max()))
+""")
+    return f"{file}:plan", f"{file}:Toward"
+
+
+@pytest.fixture(scope="module")
+def table1(modulator, policies, own):
+    config = Table1Config(rollouts=2, seed=3, search_candidates=64, method=own)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("legibility.evaluation.contest._TIMED", 1)
         return config, evaluate_table1(modulator, policies, config)
@@ -204,7 +225,7 @@ def table1(modulator, policies):
 class TestTable1:
     def test_shape(self, table1):
         config, result = table1
-        assert list(result["methods"]) == list(METHODS)
+        assert list(result["methods"]) == [*METHODS, *config.method]
         for method in result["methods"].values():
             for own in method["targets"].values():
                 assert sum(own["reasons"].values()) == config.rollouts
@@ -229,9 +250,25 @@ class TestTable1:
     def test_texts(self, table1):
         config, result = table1
         section = markdown(table1_section(document(result, config)))
-        for method in METHODS.values():
-            assert method.text in section
+        for text in (*(method.text for method in METHODS.values()), *config.method):
+            assert text in section
         assert "1.96 (0.97)" in section  # the paper's own
+
+    def test_methods_of_the_user(self, table1):
+        """The same robots and seeds: a planner of the straight line is the straight line."""
+        config, result = table1
+        planner, policy = (result["methods"][name]["targets"] for name in config.method)
+        assert planner == result["methods"]["straight line"]["targets"]
+        for letter, own in policy.items():
+            assert own["success"]["mean"] == 1
+            assert own["length_ratio"]["mean"] == pytest.approx(1, abs=0.01)
+            assert own["achieved"]["mean"] == pytest.approx(
+                planner[letter]["achieved"]["mean"], abs=0.05
+            )
+        assert {t["against"] for t in result["tests"] if t["method"] in OURS} >= set(config.method)
+        assert [own["kind"] for own in result["own"].values()] == ["planner", "policy"]
+        times = [result["methods"][name]["milliseconds"] for name in config.method]
+        assert all(0 < t["plan"] < t["motion"] for t in times)
 
     def test_the_papers_rows(self):
         assert paper_rows(2)["Legibility Modulator"]["L_d_R"] == 1.96
@@ -245,13 +282,19 @@ class TestTable1:
             Table1Config(**wrong)
 
 
-def test_unseen(modulator, policies):
-    config = UnseenConfig(scenes=3, rollouts=1, levels=3, seed=5, search_candidates=64)
+def test_unseen(modulator, policies, own):
+    config = UnseenConfig(
+        scenes=3, rollouts=1, levels=3, seed=5, search_candidates=64, method=own[:1]
+    )
     result = evaluate_unseen(modulator, policies, config)
     for name, method in result["methods"].items():
-        assert ("error" in method) == METHODS[name].dial
+        assert ("error" in method) == (name in own or METHODS[name].dial)
         for metric in ("distance_score", "potential_cost"):
             assert len(method["ratio"][metric]["values"]) == 3
+    straight = result["methods"]["straight line"]
+    for metric in (*METRICS, *EXTERNAL, "ratio"):
+        assert result["methods"][own[0]][metric] == straight[metric]
+    assert result["methods"][own[0]]["error"]["mean"] == pytest.approx(2 / 3, abs=0.1)
     oracle = result["methods"]["oracle"]
     assert oracle["error"]["mean"] < 0.1
     assert 0.9 < oracle["ratio"]["distance_score"]["median"] < 1.1

@@ -22,6 +22,8 @@ from legibility.intent.metrics import SCORE_POINTS
 from legibility.models.configuration import PathDiffuserConfig
 from legibility.motion import archive as archives
 from legibility.motion.path import Path, straight_waypoints
+from legibility.report.dials import dial_section
+from legibility.report.table import Table
 from legibility.rollout import Rollout
 
 torch.set_num_threads(1)
@@ -513,6 +515,72 @@ class TestClosedLoop:
         assert result["success"]["min"] == 1
         assert result["spearman"]["min"] > 0.85
         assert evaluate_dial(exact, config)["scenes"] == closed["scenes"]
+
+
+class TestMethodsOfTheUser:
+    @pytest.fixture
+    def file(self, tmp_path):
+        file = tmp_path / "own.py"
+        file.write_text("""
+import functools
+import numpy as np
+import legibility as lg
+
+archive = functools.cache(lambda *where: lg.build_archive(*where[:2], observer=where[2], seed=99))
+
+def perfect(scene, target, legibility, observer):
+    known = archive(scene, target, observer)
+    return known.trajectories[known.nearest(legibility)]
+
+def line(scene, target):
+    return [scene.start, scene.goals[target]]
+
+class Toward:
+    def __init__(self, scene, target):
+        self.goal = scene.goals[target]
+
+    def act(self, position, limit):
+        gap = self.goal - position
+        return gap * min(1, limit / (2 * np.abs(gap).max()))
+""")
+        return file
+
+    def test_a_planner_is_measured_as_it_plans(self, file, tiny):
+        names = f"{file}:perfect", f"{file}:line"
+        config = dataclasses.replace(SMALL, modes=("bare",), method=names)
+        result = evaluate_dial(tiny, config)
+        perfect, line = (result["overall"][name] for name in names)
+        assert perfect["spearman"]["min"] > 0.99
+        assert perfect["error"]["mean"] < 0.03
+        assert line["spearman"]["mean"] == 0
+        assert line["length_ratio_at_1"]["mean"] == pytest.approx(1)
+        assert result["own"][names[0]]["kind"] == "planner"
+        plain = evaluate_dial(tiny, dataclasses.replace(config, method=()))
+        assert plain["overall"]["bare"] == result["overall"]["bare"]
+        document = {"config": dataclasses.asdict(config), "seed": 1, "result": result}
+        table = next(part for part in dial_section(document) if isinstance(part, Table))
+        assert [f"{name}: mean" in table.columns for name in names] == [True, True]
+
+    def test_a_policy_is_measured_as_it_moves(self, file, exact):
+        names = f"{file}:line", f"{file}:Toward"
+        config = DialConfig(
+            scenes=1, levels=3, samples=1, seed=1, closed_loop=True, modes=("exact",), method=names
+        )
+        result = evaluate_dial(exact, config)["overall"]
+        for name in names:
+            assert result[name]["success"]["min"] == 1
+            assert result[name]["length_ratio_at_1"]["mean"] == pytest.approx(1, abs=0.02)
+            assert abs(result[name]["at_1"]["mean"]) < 0.1
+        assert ["deviation" in result[name] for name in names] == [True, False]
+
+    def test_a_policy_has_no_plan(self, file, tiny):
+        with pytest.raises(InvalidInputError, match="is a policy, which needs closed_loop"):
+            evaluate_dial(tiny, dataclasses.replace(SMALL, method=(f"{file}:Toward",)))
+
+    def test_a_scene_in_which_it_fails_is_named(self, file, tiny):
+        file.write_text("def plan(seed): return [[seed, 0], [0, float('nan')]]")
+        with pytest.raises(InvalidInputError, match=r"own.py:plan, scene 0, target 0, ℓ = -1: "):
+            evaluate_dial(tiny, dataclasses.replace(SMALL, method=(f"{file}:plan",)))
 
 
 def test_modes_by_default():

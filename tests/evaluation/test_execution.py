@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from legibility.data.configuration import SceneStream
-from legibility.errors import InvalidInputError, InvalidSceneError
+from legibility.errors import CheckpointError, InvalidInputError, InvalidSceneError
 from legibility.evaluation import execution
 from legibility.evaluation.configuration import ExecutionConfig
 from legibility.evaluation.execution import ROWS, evaluate_execution
@@ -212,5 +212,5 @@ def test_bad_settings(modulator, wrong):
 
 
 def test_a_model_without_stage_2(modulator):
-    with pytest.raises(InvalidInputError, match="no stage 2"):
+    with pytest.raises(CheckpointError, match="no stage 2"):
         evaluate_execution(Modulator(modulator.path_diffuser), SMALL)

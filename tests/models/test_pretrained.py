@@ -244,7 +244,7 @@ class TestShipped:
                 assert model.config.distilled == (record.teacher is not None)
                 assert model.config.observer.to_dict() == record.data["observer"]
 
-    @pytest.mark.parametrize("name", ["no-such-model", "", "..", "../weights", "a/b", "a\0b"])
+    @pytest.mark.parametrize("name", ["no-such-model", "", "..", "../weights", "a\0b"])
     def test_no_such_weights(self, tmp_path, monkeypatch, name):
         monkeypatch.chdir(tmp_path)
         with pytest.raises(CheckpointError):

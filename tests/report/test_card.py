@@ -5,6 +5,7 @@ import re
 
 import documents
 import pytest
+import yaml
 
 from legibility.errors import InvalidInputError
 from legibility.report.card import render_card
@@ -81,11 +82,32 @@ class TestModulator:
         assert "| success of executed motions | 100.00% |" in card
         assert "`docs/results.md`" in card
 
+    def test_metrics_as_metadata(self, results):
+        head = yaml.safe_load(render_card("m", CONFIG, results).split("---")[1])
+        assert head["pipeline_tag"] == "robotics"
+        ((model,),) = [head["model-index"]]
+        assert model["name"] == "m"
+        for entry in model["results"]:
+            assert set(entry) == {"task", "dataset", "metrics"}
+            assert set(entry["task"]) == {"type", "name"}
+            assert set(entry["dataset"]) == {"type", "name", "config"}
+        found = {
+            (entry["dataset"]["config"], metric["type"]): metric["value"]
+            for entry in model["results"]
+            if entry["task"]["name"] == "The dial of planned paths"
+            for metric in entry["metrics"]
+        }
+        overall = results["dial"]["m-dragan"]["result"]["overall"]
+        for regime in ("dragan", "all"):
+            assert found[regime, "mae"] == round(overall["quick"]["error"]["mean"], 4)
+            assert found[regime, "mae_exact"] == round(overall["exact"]["error"]["mean"], 4)
+        assert "success" in {m["type"] for entry in model["results"] for m in entry["metrics"]}
+
     def test_is_short_and_tidy_markdown(self, results):
         card = render_card("m", CONFIG, results)
         assert card.startswith("---\nlicense: mit\n")
         assert card.endswith(".\n")
-        assert len(card.splitlines()) < 70
+        assert len(card.splitlines()) < 100
         assert "\n\n\n" not in card
         assert not re.search(r"[ \t]+$", card, re.MULTILINE)
         for line in card.splitlines():

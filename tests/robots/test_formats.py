@@ -50,12 +50,13 @@ def test_csv(arm_motion, tmp_path):
 
 
 def test_csv_is_what_score_reads(tmp_path):
-    from legibility.cli.trajectories import read_trajectories
+    from legibility.data.recordings import read_recordings
 
     motion = motion_of(2)
     motion.save(tmp_path / "motion.csv")
-    (points,) = read_trajectories(tmp_path / "motion.csv", motion.path.scene).values()
-    assert points == pytest.approx(motion.positions, abs=1e-8)
+    (recording,) = read_recordings(tmp_path / "motion.csv", 2)
+    assert recording.positions == pytest.approx(motion.positions, abs=1e-8)
+    assert recording.times == pytest.approx(motion.times, abs=1e-8)
 
 
 def test_json(arm_motion, tmp_path):

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from ..checks import count, positive
+from ..checks import choice, count, positive
 from ..errors import InvalidInputError
+from ..training.configuration import DEVICES
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class BenchConfig:
         arms: arms that move at once.
         dataset: scenes of the dataset.
         training_steps: steps of stage 1 timed in a round.
-        device: cpu or cuda, for training; everything else runs on the CPU.
+        device: for training; everything else runs on the CPU.
     """
 
     seconds: float = 0.2
@@ -32,7 +33,7 @@ class BenchConfig:
     arms: int = 16
     dataset: int = 4
     training_steps: int = 16
-    device: str = "cpu"
+    device: str = choice("cpu", DEVICES, more="cuda:N")
 
     def __post_init__(self) -> None:
         positive("seconds", self.seconds)

@@ -7,13 +7,16 @@ from tyro.conf import arg
 
 from ..bench import BenchConfig, run_bench
 from ..errors import InvalidInputError
-from .options import MODELS, OutputFile, flags, made
+from .options import MODELS, OutputFile, choices, flags, made
 from .output import check_file, model_record, progress_bar, show, write_report
+
+_NAMES = tuple(MODELS.values())
+_Models = Annotated[tuple[str, ...], choices(_NAMES, "DIR", count=" ...")]
 
 
 def bench(
     measured: Annotated[Any, arg(constructor=flags(BenchConfig))],
-    model: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = tuple(MODELS.values()),
+    model: _Models = _NAMES,
     json: OutputFile = None,
 ) -> None:
     """Measure the speed of planning, control, data and training on this machine, and memory.
@@ -24,6 +27,10 @@ def bench(
         measured: sizes and durations.
         model: names of shipped weights, or folders.
         json: all measurements as JSON.
+
+    Examples:
+        legibility bench --json out/bench.json
+        legibility bench --model block-reach-2d --rounds 1 --batches 1 64
     """
     settings = made(BenchConfig, measured)
     check_file(json, "JSON file")

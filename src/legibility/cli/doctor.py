@@ -57,6 +57,10 @@ def doctor(json: OutputFile = None) -> None:
 
     Args:
         json: everything as JSON.
+
+    Examples:
+        legibility doctor
+        legibility doctor --quiet --json out/doctor.json
     """
     check_file(json, "JSON file")
     checks = (_machine, _packages, _environments, _weights, _renderers, _ffmpeg)

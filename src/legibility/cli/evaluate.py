@@ -11,14 +11,14 @@ from tyro.conf import arg
 from ..errors import InvalidInputError
 from ..evaluation import configuration
 from ..scene import Scene
+from ..training.configuration import DEVICES
 from . import output
-from .options import MODEL, MODELS, OptionalText, OutputFile, Workers, flags, made
+from .options import MODEL, MODELS, InputFile, ModelName, OutputFile, Workers, choices, flags, made
 from .report import result_figure
-from .trajectories import read_trajectories
 
 _Dial = Annotated[Any, arg(constructor=flags(configuration.DialConfig))]
 _Eyes = Annotated[Any, arg(constructor=flags(configuration.EyesConfig))]
-_Optimum = Annotated[Any, arg(constructor=flags(configuration.OptimumConfig))]
+_Optimum = Annotated[Any, arg(constructor=flags(configuration.OptimumConfig, "regime"))]
 _Planning = Annotated[Any, arg(constructor=flags(configuration.PlanningConfig))]
 _Execution = Annotated[Any, arg(constructor=flags(configuration.ExecutionConfig))]
 _Table1 = Annotated[Any, arg(constructor=flags(configuration.Table1Config))]
@@ -29,11 +29,16 @@ _Timing = Annotated[Any, arg(constructor=flags(configuration.TimingConfig))]
 _External = Annotated[Any, arg(constructor=flags(configuration.ExternalConfig))]
 _SingleScene = Annotated[Any, arg(constructor=flags(configuration.SingleSceneConfig))]
 _Ablations = Annotated[Any, arg(constructor=flags(configuration.AblationsConfig))]
-_Model = Annotated[str, arg(help="name of shipped weights, or a folder")]
-_Scene = Annotated[Path | None, arg(metavar="FILE", help="scene of your trajectories")]
-_Trajectories = Annotated[
-    Path | None, arg(metavar="FILE", help="your motions to the target, a CSV file as of `score`")
+_MODEL = "name of shipped weights, or a folder"
+_Model = Annotated[str, choices(MODELS.values(), "DIR", help=_MODEL)]
+_DiffusionPolicy = Annotated[
+    str | None, choices(["diffusion-policy-2d", "diffusion-policy-panda"], "DIR")
 ]
+_LegibilityDiffuser = Annotated[
+    str | None, choices(["legibility-diffuser-2d", "legibility-diffuser-panda"], "DIR")
+]
+_Scene = Annotated[InputFile, arg(help="scene of your trajectories")]
+_Trajectories = Annotated[InputFile, arg(help="your motions to the target, a file as of `score`")]
 _Json = Annotated[
     OutputFile, arg(help="the result with its command, seed, settings and weights, as JSON")
 ]
@@ -50,9 +55,9 @@ class Contestants:
         legibility_diffuser: the baseline Legibility Diffuser.
     """
 
-    model: OptionalText = None
-    diffusion_policy: OptionalText = None
-    legibility_diffuser: OptionalText = None
+    model: ModelName = None
+    diffusion_policy: _DiffusionPolicy = None
+    legibility_diffuser: _LegibilityDiffuser = None
 
 
 def dial(
@@ -62,12 +67,22 @@ def dial(
     json: _Json = None,
     figure: _Figure = None,
 ) -> None:
-    """Measure achieved against asked legibility on held-out scenes."""
+    """Measure achieved against asked legibility on held-out scenes.
+
+    Examples:
+        legibility evaluate dial --scenes 10 --seed 7 --json out/dial.json --figure out/dial.png
+        legibility evaluate dial --model panda-block-reach --goals 2..4 --regime all --workers 4
+    """
     _evaluate("dial", configuration.DialConfig, evaluation, model, json, figure, workers)
 
 
 def eyes(evaluation: _Eyes, workers: Workers, model: _Model = MODEL, json: _Json = None) -> None:
-    """Turn the dial for one observer, and measure what every other one sees of it."""
+    """Turn the dial for one observer, and measure what every other one sees of it.
+
+    Examples:
+        legibility evaluate eyes --scenes 10 --json out/eyes.json
+        legibility evaluate eyes --scenes 10 --regime obstacles --exact
+    """
     _evaluate("eyes", configuration.EyesConfig, evaluation, model, json, workers=workers)
 
 
@@ -82,6 +97,10 @@ def planning(
 
     In free space and past obstacles, in scenes never seen before and once planned in. Leave the
     machine alone meanwhile.
+
+    Examples:
+        legibility evaluate planning --scenes 10 --figure out/planning.png
+        legibility evaluate planning --scenes 10 --search 64 256 --json out/planning.json
     """
     settings = configuration.PlanningConfig
     _evaluate("planning", settings, evaluation, model, json, figure, workers)
@@ -93,6 +112,10 @@ def optimum(
     """Compare plans at -1 and 1 with the best motions of their length, and with a certified bound.
 
     The best motion is what an optimiser finds from many starts; the bound needs no optimiser.
+
+    Examples:
+        legibility evaluate optimum --scenes 10 --json out/optimum.json
+        legibility evaluate optimum --scenes 10 --starts 4 --exact --workers 4
     """
     settings = configuration.OptimumConfig
     _evaluate("optimum", settings, evaluation, model, json, workers=workers)
@@ -112,6 +135,11 @@ def external(
     Dragan's legibility, confidence, detachment and L_d, and the most legible of the motions that
     are short enough or keep clear. In random scenes, or with --trajectories your motions in --scene
     beside ours.
+
+    Examples:
+        legibility evaluate external --scenes 10 --regime dragan --json out/external.json
+        legibility evaluate external --scene examples/paper.yaml \
+            --trajectories examples/trajectories.csv
     """
     given = None
     if (scene is None) != (trajectories is None):
@@ -135,6 +163,10 @@ def controller(
 
     It is asked to replan, the robot is pushed, the target moves, or an obstacle appears; beside it,
     a new plan from there. Times are those of this machine: use one worker.
+
+    Examples:
+        legibility evaluate controller --scenes 10 --json out/controller.json
+        legibility evaluate controller --scenes 10 --regime obstacles --backend onnx
     """
     settings = configuration.ControllerConfig
     _evaluate("controller", settings, evaluation, model, json, workers=workers)
@@ -146,6 +178,10 @@ def timing(
     """Check that timed motions keep their limits, and what they cost.
 
     By finite differences at 1 kHz, as a controller sees them, of a point or of any arm.
+
+    Examples:
+        legibility evaluate timing --scenes 10 --json out/timing.json
+        legibility evaluate timing --model panda-block-reach --limits fr3 --goals 2..4 --workers 4
     """
     settings = configuration.TimingConfig
     _evaluate("timing", settings, evaluation, model, json, workers=workers)
@@ -153,7 +189,13 @@ def timing(
 
 def _your_motions(scene: Scene, target: int, file: Path) -> tuple[Scene, int, dict[str, Any]]:
     """A user's motions from the start of a scene to a target."""
-    curves = read_trajectories(file, scene)
+    from ..data.recordings import read_recordings
+    from ..evaluation.scoring import check_inside
+
+    recordings = read_recordings(file, scene.dim, output.note)
+    for recording in recordings:
+        check_inside(recording, scene)
+    curves = {recording.name: recording.motion for recording in recordings}
     for name, curve in curves.items():
         for end, place, point in (
             ("start", scene.start, curve[0]), ("target", scene.target(target), curve[-1])
@@ -174,6 +216,10 @@ def execution(
     Stage 2, also pushed and with a moving target, is compared with stage 2 without the path, the
     path's displacements in open loop, and the feedback controller of the demonstrations. All share
     scenes, plans and hidden gains.
+
+    Examples:
+        legibility evaluate execution --scenes 10 --rollouts 100 --json out/execution.json
+        legibility evaluate execution --model panda-block-reach --scenes 5 --rollouts 15
     """
     settings = configuration.ExecutionConfig
     _evaluate("execution", settings, evaluation, model, json, workers=workers)
@@ -187,6 +233,10 @@ def table1(
     Its scene has two goals, R and G. The modulator, with one path and as the best of 64, is
     compared with Diffusion Policy, Legibility Diffuser, the straight line, random search in the
     same and in ten times the time, and the archive's most legible trajectory.
+
+    Examples:
+        legibility evaluate table1 --rollouts 10 --json out/table1.json
+        legibility evaluate table1 --env panda --rollouts 10 --workers 4
     """
     settings, model = configuration.Table1Config, contestants.model
     _evaluate("table1", settings, evaluation, model, json, None, workers, contestants)
@@ -195,7 +245,12 @@ def table1(
 def unseen(
     evaluation: _Unseen, workers: Workers, contestants: Contestants, json: _Json = None
 ) -> None:
-    """The methods of table1 on held-out scenes, relative to each scene's oracle."""
+    """The methods of table1 on held-out scenes, relative to each scene's oracle.
+
+    Examples:
+        legibility evaluate unseen --scenes 10 --json out/unseen.json
+        legibility evaluate unseen --env panda --scenes 10 --rollouts 2 --levels 6
+    """
     settings, model = configuration.UnseenConfig, contestants.model
     _evaluate("unseen", settings, evaluation, model, json, None, workers, contestants)
 
@@ -203,13 +258,18 @@ def unseen(
 def spectrum(
     evaluation: _Spectrum,
     model: Annotated[
-        OptionalText,
-        arg(help="name of shipped weights, or a folder; if not given, those of the environment"),
+        str | None,
+        choices(MODELS.values(), "DIR", help=f"{_MODEL}; if not given, those of the environment"),
     ] = None,
     json: _Json = None,
     figure: _Figure = None,
 ) -> None:
-    """The paper's figure 3: executed motions over the whole dial in the scene of Table I."""
+    """The paper's figure 3: executed motions over the whole dial in the scene of Table I.
+
+    Examples:
+        legibility evaluate spectrum --levels 5 --rollouts 3 --figure out/spectrum.png
+        legibility evaluate spectrum --env panda --rollouts 10 --json out/spectrum.json
+    """
     _evaluate("spectrum", configuration.SpectrumConfig, evaluation, model, json, figure)
 
 
@@ -219,7 +279,9 @@ def ablations(
     out: Annotated[Path, arg(metavar="DIR", help="folder of the small runs")],
     model: _Model = MODEL,
     workers: Annotated[int, arg(help="processes that make data and measure")] = 1,
-    device: Annotated[OptionalText, arg(help="cpu or cuda; if not given, a GPU if any")] = None,
+    device: Annotated[
+        str | None, choices(DEVICES, "cuda:N", help="if not given, a GPU where there is one")
+    ] = None,
     json: _Json = None,
 ) -> None:
     """Measure what each part of stage 1 is worth, by small runs that lack it.
@@ -227,6 +289,10 @@ def ablations(
     They are trained in OUT: the reference, with other samplers, its student, without each loss,
     without the field, on rank labels, on data of any length, and on other numbers of scenes.
     Interrupted, the same command resumes.
+
+    Examples:
+        legibility evaluate ablations --data runs/data --out runs/parts --json out/parts.json
+        legibility evaluate ablations --data runs/data --out runs/quick --training-steps 200
     """
     output.check_file(json, "JSON file")
     settings = made(configuration.AblationsConfig, evaluation)
@@ -252,6 +318,10 @@ def single_scene(
 
     Diffusion Policy, Legibility Diffuser and both stages of the modulator are trained in OUT and
     tuned toward either target, then executed. Interrupted, the same command resumes.
+
+    Examples:
+        legibility evaluate single-scene --out runs/single-scene --json out/single-scene.json
+        legibility evaluate single-scene --env panda --rollouts 20 --out runs/single-panda
     """
     output.check_file(json, "JSON file")
     settings = made(configuration.SingleSceneConfig, evaluation)

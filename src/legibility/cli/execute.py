@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from ..data.recordings import write_trajectories
+from ..envs import ENVIRONMENTS, vector_type
 from ..errors import InvalidInputError
 from . import output
-from .options import Motions, OptionalText, OutputFile, motion_files
-from .trajectories import write_trajectories
+from .options import Motions, OutputFile, choices, motion_files
 
 if TYPE_CHECKING:
     from ..rollout import Rollout
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 def execute(
     motions: Motions,
-    env: OptionalText = None,
+    env: Annotated[str | None, choices(ENVIRONMENTS)] = None,
     noise: float = 0.0,
     push: float = 0.0,
     shift: float = 0.0,
@@ -34,8 +35,7 @@ def execute(
 
     Args:
         motions: motions to plan and execute.
-        env: 2d, panda (MuJoCo) or pandagym; if not given, 2d or panda by the scene. MuJoCo draws
-            either arm.
+        env: if not given, 2d or panda (MuJoCo) by the scene. MuJoCo draws either arm.
         noise: standard deviation of each step's displacement [m].
         push: length of a push on the way [m].
         shift: distance that the target moves on the way [m].
@@ -48,9 +48,11 @@ def execute(
         csv: the executed trajectories, at equal arc length, as CSV that `legibility score` reads.
         out: the executed motion at its control steps: .csv, .json or .mcap, a bag of ROS 2 (extra
             ros). Of several levels there is a file each, with the level in its name.
-    """
-    from ..envs import vector_type
 
+    Examples:
+        legibility execute examples/paper.yaml --legibility -1 0 1 --video out/motions.gif
+        legibility execute examples/obstacle.yaml --exact --push 0.1 --json out/pushed.json
+    """
     scene, observer, asked, model = motions.read()
     target, seed = motions.target, motions.seed
     if spectrum is not None and len(np.unique(asked)) < len(asked):
@@ -80,9 +82,11 @@ def execute(
     options = {"noise": noise, "push": push, "shift": shift}
     # The same hidden properties and disturbance for each, so that ℓ alone makes the difference.
     robots.reset(seed=[seed] * len(asked), options={"scene": scene, "target": target, **options})
-    rollouts = Modulator.from_pretrained(model).execute_many(
-        robots, legibility=asked, seed=seed, replan=replan, **motions.options(observer)
-    )
+    modulator = Modulator.from_pretrained(model)
+    with output.timed(f"planned and executed {len(asked)} motions"):
+        rollouts = modulator.execute_many(
+            robots, legibility=asked, seed=seed, replan=replan, **motions.options(observer)
+        )
     robots.close()
     archive = rollouts[0].path.archive
     output.write_report(

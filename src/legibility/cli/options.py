@@ -3,18 +3,21 @@
 import dataclasses
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_origin, get_type_hints
 
 import numpy as np
 from tyro.conf import Positional, arg
 
-from ..checks import Array, frame_name, legibility_levels, positive, random_seed
+from ..checks import FRAMES, Array, frame_name, legibility_levels, positive, random_seed
 from ..errors import InvalidInputError, InvalidSceneError
 from ..files import read_document
-from ..intent.observer import Observer, observer_of
+from ..intent.observer import OBSERVERS, Observer, observer_of
+from ..robots import ARM_NAMES
+from ..robots.limits import LIMITS
 from ..scene import Scene
+from ..training.configuration import DEVICES, PRECISIONS
 from . import output
 
 if TYPE_CHECKING:
@@ -26,12 +29,29 @@ MODEL = "block-reach-2d"
 MODELS = {2: MODEL, 3: "panda-block-reach"}
 """The modulator's weights by dimension."""
 
+
+def choices(allowed: Iterable[Any], *more: str, count: str = "", help: str | None = None) -> Any:
+    """How the help shows an option of a fixed set, and perhaps `more`: `{dragan,paper,FILE}`.
+
+    It is for display: other values are refused by whoever checks the value, in our words. `count`
+    is ` ...` for several values.
+    """
+    shown = ",".join(map(str, (*allowed, *more)))
+    return arg(metavar=f"{{{shown}}}{count}", help=help, help_behavior_hint=_default)
+
+
+def _default(value: str) -> str:
+    return "" if value in ("", "None") else f"(default: {value})"
+
+
 SceneFile = Annotated[Positional[Path], arg(metavar="SCENE", help_behavior_hint="")]
-OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
+InputFile = OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
 OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")]
 OptionalText = Annotated[str | None, arg(metavar="STR", help_behavior_hint="")]
+DeviceName = Annotated[str | None, choices(DEVICES, "cuda:N")]
+ModelName = Annotated[str | None, choices(MODELS.values(), "DIR")]
 
 _DOCUMENTS = (".yaml", ".yml", ".json")
 
@@ -57,7 +77,7 @@ class Workers:
     """
 
     workers: int = 1
-    cluster: OptionalText = None
+    cluster: Annotated[str | None, choices(["local"], "tcp://HOST:PORT")] = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,13 +85,13 @@ class Where:
     """Device and precision of a training.
 
     Attributes:
-        device: cpu or cuda; if not given, a GPU where there is one.
+        device: of the training; if not given, a GPU where there is one.
         precision: of the network's products, no (float32), bf16 or fp16; if not given, that of
             `accelerate launch`, or no.
     """
 
-    device: OptionalText = None
-    precision: OptionalText = None
+    device: DeviceName = None
+    precision: Annotated[str | None, choices(PRECISIONS)] = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,13 +102,13 @@ class Place:
         scene: a file, .yaml or .json, with the keys start and goals, and optionally workspace,
             obstacles, goal_radius, clearance and observer.
         target: index of the intended goal, from 0.
-        observer: who reads the motions: dragan, paper, or a file, .yaml or .json; if not given,
-            that of the scene's file, or dragan.
+        observer: who reads the motions, by name or a .yaml or .json file; if not given, that of the
+            scene's file, or dragan.
     """
 
     scene: SceneFile
     target: int = 0
-    observer: OptionalText = None
+    observer: Annotated[str | None, choices(OBSERVERS, "FILE")] = None
 
     def situation(self) -> tuple[Scene, Observer]:
         """The scene and the observer, once the arguments are checked."""
@@ -115,7 +135,7 @@ class Motions(Place):
     """
 
     legibility: Annotated[tuple[str, ...], arg(metavar="LEVEL ...")] = ("-1", "0", "1")
-    model: OptionalText = None
+    model: ModelName = None
     seed: int = 0
     max_detour: OptionalFloat = None
     candidates: int = 1
@@ -148,19 +168,18 @@ class Timed:
         out: file of the timed motion: .csv, .json or .mcap, a bag of ROS 2 (extra ros). Of several
             levels there is a file each, with the level in its name.
         rate: instants in a second.
-        limits: what the motion keeps: point, panda, fr3 or moveit-panda; if not given, the arm's
-            own, or point.
-        arm: panda, or a .yaml or .json file of one.
-        frame: world or base, in which positions are written.
+        limits: what the motion keeps; if not given, the arm's own, or point.
+        arm: that moves, by its name or a .yaml or .json file.
+        frame: in which positions are written.
         max_duration: longest duration [s] that is accepted.
         profile: figure of speed, limits and belief over time, .png, .pdf or .svg.
     """
 
     out: OutputFile = None
     rate: float = 100.0
-    limits: OptionalText = None
-    arm: OptionalText = None
-    frame: str = "world"
+    limits: Annotated[str | None, choices(LIMITS)] = None
+    arm: Annotated[str | None, choices(ARM_NAMES, "FILE")] = None
+    frame: Annotated[str, choices(FRAMES)] = "world"
     max_duration: OptionalFloat = None
     profile: OutputFile = None
 
@@ -297,10 +316,19 @@ def flags(settings: type, *omitted: str, **defaults: Any) -> Any:
         if types[field.name] == tuple[int, int]:
             default = "..".join(map(str, default))
         if field.name not in omitted:
-            flag = _FLAG_TYPES.get(types[field.name], types[field.name])
+            flag = _flag_type(field, types[field.name])
             fields.append((field.name, flag, dataclasses.field(default=default)))
     namespace = {"__doc__": _documentation(settings)}
     return dataclasses.make_dataclass(settings.__name__, fields, kw_only=True, namespace=namespace)
+
+
+def _flag_type(field: Any, kind: Any) -> Any:
+    """The type of the flag of a field of this `kind`."""
+    if "allowed" in field.metadata:
+        more = filter(None, [field.metadata["more"]])
+        several = " ..." if get_origin(kind) is tuple else ""
+        return Annotated[kind, choices(field.metadata["allowed"], *more, count=several)]
+    return _FLAG_TYPES.get(kind, kind)
 
 
 def _documentation(settings: type) -> str:

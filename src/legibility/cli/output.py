@@ -3,12 +3,14 @@
 import contextlib
 import hashlib
 import json
+import logging
 import math
 import os
 import shlex
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
@@ -18,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from ..errors import CheckpointError, OutputError
+from ..errors import CheckpointError, InvalidInputError, OutputError
 from ..files import file_hash, write_json
 from ..motion.archive import SMALLEST_RANGE, Archive
 from ..report.table import Table
@@ -28,6 +30,12 @@ from ..report.table import significant as significant
 ARGUMENTS: ContextVar[Sequence[str]] = ContextVar("ARGUMENTS", default=())
 """The command's arguments, which every report repeats."""
 
+_QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
+"""Whether nothing but errors is printed, see `speaking`."""
+
+_LOG = logging.getLogger("legibility")
+"""Every module tells its own logger below this one what it reads, writes and loads."""
+
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
 _PATIENCE = 2.0
@@ -35,6 +43,52 @@ _PATIENCE = 2.0
 
 _LEAST_INTERVAL, _MOST_INTERVAL = 5.0, 30.0
 """Bounds of the time [s] between two lines of progress off a terminal."""
+
+
+@contextlib.contextmanager
+def speaking(quiet: bool, verbose: bool) -> Iterator[None]:
+    """Set how much is printed within the block.
+
+    With `quiet` nothing but errors: no table, no progress, no note and no warning; what is asked
+    for in files is written. With `verbose` also what is read, written and loaded, and how long it
+    took, on the standard error.
+
+    Raises:
+        InvalidInputError: both are asked.
+    """
+    if quiet and verbose:
+        raise InvalidInputError("give --quiet or --verbose, not both")
+    token, level, teller = _QUIET.set(quiet), _LOG.level, _Teller()
+    if verbose:
+        _LOG.addHandler(teller)
+        _LOG.setLevel(logging.INFO)
+    try:
+        with warnings.catch_warnings(action="ignore") if quiet else contextlib.nullcontext():
+            yield
+    finally:
+        _LOG.info("ended")
+        _LOG.removeHandler(teller)
+        _LOG.setLevel(level)
+        _QUIET.reset(token)
+
+
+class _Teller(logging.Handler):
+    """Prints what the package logs, after the time since the command began."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.began = time.monotonic()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        note(f"{time.monotonic() - self.began:.2f} s: {record.getMessage()}")
+
+
+@contextlib.contextmanager
+def timed(what: str) -> Iterator[None]:
+    """Tell how long the block took, if --verbose is given."""
+    began = time.monotonic()
+    yield
+    _LOG.info("%s in %.3f s", what, time.monotonic() - began)
 
 
 def check_file(path: Path | None, what: str) -> None:
@@ -149,6 +203,8 @@ def table(title: str, *columns: str, text_columns: int = 0) -> Table:
 
 def show(*items: Table | str) -> None:
     """Print tables and lines to the standard output, as text and not as markup."""
+    if _QUIET.get():
+        return
     console = _Console(sys.stdout)
     for item in items:
         console.print(Text(item) if isinstance(item, str) else item.rich())
@@ -156,7 +212,8 @@ def show(*items: Table | str) -> None:
 
 def note(line: str) -> None:
     """Print a line for the reader, not for the next program in a pipe."""
-    _Console(sys.stderr).print(Text(f"legibility: {line}"))
+    if not _QUIET.get():
+        _Console(sys.stderr).print(Text(f"legibility: {line}"))
 
 
 class _Console(Console):
@@ -177,18 +234,21 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     Off a terminal it prints a line after every tenth of the work or 30 s instead. `line` is a
     message that stays, above the bar or in a log file.
     """
+    if _QUIET.get():
+        yield lambda *_: None
+        return
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
     console = _Console(sys.stderr)
     columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
     bar = Progress(*columns, console=console)
     task = bar.add_task(title, total=None)
-    tenths, noted = 0, time.monotonic()
-    patient_until = noted + _PATIENCE
+    tenths, began = 0, time.monotonic()
+    noted, patient_until, items = began, began + _PATIENCE, 0
 
     def progress(done: int, total: int, line: str = "") -> None:
-        nonlocal tenths, noted
-        now, reached = time.monotonic(), 10 * done // max(total, 1)
+        nonlocal tenths, noted, items
+        now, reached, items = time.monotonic(), 10 * done // max(total, 1), done
         bar.update(task, completed=done, total=total)
         if not console.is_terminal:
             if now - noted > (_LEAST_INTERVAL if reached != tenths else _MOST_INTERVAL):
@@ -209,3 +269,4 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
         yield progress
     finally:
         stop()
+        _LOG.info("%d %s in %.2f s", items, title, time.monotonic() - began)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ..checks import count
+from ..data.recordings import write_trajectories
 from . import output
 from .options import Motions, OptionalFloat, OptionalInt, OutputFile, Timed
-from .trajectories import write_trajectories
 
 
 def plan(
@@ -29,6 +29,10 @@ def plan(
         figure: the paths drawn, .png, .pdf or .svg.
         json: everything as JSON.
         csv: the trajectories as CSV, the format that `legibility score` reads.
+
+    Examples:
+        legibility plan examples/paper.yaml --legibility -1:1:9 --figure out/plan.png
+        legibility plan examples/panda.yaml --arm panda --rate 1000 --out out/motion.csv
     """
     count("points", points, low=2)
     output.check_figure(figure)
@@ -42,10 +46,10 @@ def plan(
     from ..modulator import Modulator
 
     options = {**motions.options(observer), "guidance": guidance, "steps": steps}
-    path = Modulator.from_pretrained(model).plan(
-        scene, target, asked, seed=motions.seed, arm=timed.body(), **options
-    )
-    moves = timed.motions(path) if files else []
+    modulator = Modulator.from_pretrained(model)
+    with output.timed(f"planned {len(asked)} paths" + ", and timed them" * bool(files)):
+        path = modulator.plan(scene, target, asked, seed=motions.seed, arm=timed.body(), **options)
+        moves = timed.motions(path) if files else []
     archive = path.archive
     columns = {
         "legibility": asked,

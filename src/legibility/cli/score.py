@@ -1,13 +1,22 @@
 """`legibility score`."""
 
+import io
+from collections.abc import Sequence
+from csv import DictWriter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from tyro.conf import Positional, arg
 
-from .options import OutputFile, Place
+from ..errors import InvalidInputError
+from ..figures.belief import describe
+from ..files import write_bytes
+from ..intent.observer import DEFAULT_OBSERVER, OBSERVERS, Observer
+from ..scene import Scene
+from .options import OptionalFloat, OptionalInt, OutputFile, SceneFile, choices, read_scene
 from .output import (
+    FIGURE_SUFFIXES,
+    check_figure,
     check_file,
     dial_lines,
     dial_record,
@@ -16,80 +25,202 @@ from .output import (
     show,
     significant,
     table,
+    timed,
     write_report,
 )
 
-_LOWER_IS_BETTER = (
-    "potential_cost", "length", "time_to_confidence", "earliest_correct_guess", "mean_entropy"
-)  # fmt: skip
-_MOST_COLUMNS = 6
+if TYPE_CHECKING:
+    from ..evaluation.scoring import Score
+    from ..motion.archive import Archive
+
+_SHOWN = {
+    "achieved_label": "ℓ",
+    "legibility_score": "L_p",
+    "length_ratio": "length over shortest",
+    "dragan_legibility": "Dragan’s legibility",
+    "dragan_time_to_confidence": "share until Dragan’s observer is confident",
+    "clearance": "clearance [m]",
+    "duration": "duration [s]",
+}
+"""The metrics on the terminal, the others are in the files."""
+_JITTER = 0.1  # share of the length taken for noise that is worth a warning
+_GAP = 0.01  # of an end from the scene's, over the diagonal, that is worth one
+
+_Observers = Annotated[tuple[str, ...], choices(OBSERVERS, "FILE", count=" ...")]
 
 
 def score(
     trajectories: Annotated[Positional[Path], arg(metavar="TRAJECTORIES", help_behavior_hint="")],
-    place: Place,
+    scene: SceneFile,
+    target: OptionalInt = None,
+    observer: _Observers = (),
+    tolerance: OptionalFloat = None,
+    csv: OutputFile = None,
+    belief: OutputFile = None,
     json: OutputFile = None,
 ) -> None:
-    """Rate trajectories by every metric; no model is needed.
+    """Rate recorded trajectories by every metric; no model is needed.
 
-    The CSV file has a header and a row for each point: columns x, y and in 3-D z [m]. A column
-    named trajectory, a name or number, tells several apart. A column t or time, which must rise
-    within a trajectory, gives the times; without it the points are taken at equal time steps. Other
-    columns are left out. No point may lie outside the scene's workspace. The achieved label is read
-    off the scene's archive. Metrics of a belief come twice, field_… for --observer and dragan_…
-    for Dragan's observer.
+    The file, CSV or Parquet, has a header and a row for each point: columns x, y and in 3-D z [m].
+    A column named trajectory, a name or number, tells several apart. A column t or time [s], which
+    must rise within a trajectory, gives the times; without it the points are taken at equal time
+    steps. A column target gives the index of the intended goal. Other columns are left out.
+
+    Rests at both ends are cut off and noise is smoothed, so that it does not count as length. The
+    achieved label is read off the scene's archive. Metrics of a belief come twice, field_… for each
+    --observer and dragan_… for Dragan's observer.
 
     Args:
-        trajectories: a CSV file.
-        place: scene, target and observer of the score and the labels.
+        trajectories: a file, .csv (or other text) or .parquet.
+        scene: a file, .yaml or .json.
+        target: index of the intended goal, from 0; if not given, that of the column target, or 0.
+        observer: who reads the motions, one or several side by side; if not given, that of the
+            scene's file, or dragan.
+        tolerance: how far beyond a wall of the workspace a point may lie [m]; 3 % of its diagonal
+            if not given.
+        csv: all metrics, a row for each trajectory and observer.
+        belief: each observer's belief over time, a table (.csv) or a picture of up to 5
+            trajectories (.png, .pdf, .svg).
         json: everything as JSON.
-    """
-    from ..curves import resample
-    from ..figures.belief import DRAGAN, describe
-    from ..intent.metrics import SCORE_POINTS, evaluate_trajectory
-    from ..motion.archive import build_archive
-    from .trajectories import read_trajectories
 
-    check_file(json, "JSON file")
-    scene, observer = place.situation()
-    target, field = place.target, observer.field(scene)
-    curves = read_trajectories(trajectories, scene)
-    archive = build_archive(scene, target, observer=observer)
-    ends = np.stack([scene.start, scene.goals[target]])
-    rated: dict[str, dict[str, Any]] = {}
-    for name, curve in curves.items():
-        metrics = evaluate_trajectory(curve, field, target, observer.alpha)
-        start_gap, target_gap = np.linalg.norm(curve[[0, -1]] - ends, axis=-1)
-        rated[name] = {
-            "achieved_label": archive.label_of(metrics["legibility_score"]),
-            **metrics,
-            "clearance": scene.clearance_at(resample(curve, 4 * SCORE_POINTS), target).min(),
-            "start_gap": start_gap,
-            "target_gap": target_gap,
+    Examples:
+        legibility score examples/recordings.csv examples/paper.yaml --csv out/scores.csv
+        legibility score examples/recordings.csv examples/paper.yaml --observer dragan paper
+    """
+    for file, what in ((csv, "table"), (json, "JSON file")):
+        check_file(file, what)
+    is_picture = belief is not None and belief.suffix.lower() in FIGURE_SUFFIXES
+    if is_picture:
+        check_figure(belief)
+    elif belief is not None and belief.suffix.lower() != ".csv":
+        raise InvalidInputError(f"belief must end in .csv, .png, .pdf or .svg, got {belief}")
+    check_file(belief, "belief")
+    from ..data.recordings import read_recordings
+    from ..evaluation.scoring import score
+
+    place, watching = _observers(scene, observer)
+    recordings = read_recordings(trajectories, place.dim, note)
+    if is_picture:
+        from ..figures.motion import check_number
+
+        check_number(len(recordings), "recordings")
+    with timed("built the archives and rated the trajectories"):
+        rated = {
+            name: score(recordings, place, target, observer=who, tolerance=tolerance)
+            for name, who in watching.items()
         }
-    rows = [{"name": n, "points": len(curves[n]), **metrics} for n, metrics in rated.items()]
+    _warn(next(iter(rated.values())))
+    by_motion = [list(zip(rated, each, strict=True)) for each in zip(*rated.values(), strict=True)]
+    rows = [_row(name, each) for motion in by_motion for name, each in motion]
+    if csv is not None:
+        _write_csv(csv, rows)
+    if belief is not None and is_picture:
+        from ..figures.recording import belief_figure
+
+        belief_figure(rated, belief)
+    elif belief is not None:
+        steps = (_steps(name, each) for motion in by_motion for name, each in motion)
+        _write_csv(belief, [step for part in steps for step in part])
+    dials = {(name, s.archive.target): s.archive for name, each in rated.items() for s in each}
     write_report(
         json,
         seed=0,
-        config={"target": target, "observer": observer.to_dict()},
-        result={"scene": scene.to_dict(), **dial_record(archive), "trajectories": rows},
+        config={
+            "target": target,
+            "tolerance": tolerance,
+            "observers": {name: who.to_dict() for name, who in watching.items()},
+        },
+        result={
+            "scene": place.to_dict(),
+            "dials": [
+                {"observer": name, "target": goal, **dial_record(archive)}
+                for (name, goal), archive in dials.items()
+            ],
+            "trajectories": rows,
+        },
     )
+    _print(f"{trajectories} in {scene}", rows, dials)
 
-    summary = len(rated) > _MOST_COLUMNS
-    heads = ("mean", "lowest", "highest") if summary else tuple(rated)
-    title = f"{trajectories} in {place.scene}, goal {target}"
-    shown = table(title, "metric", "better", *heads, text_columns=2)
-    for metric in next(iter(rated.values())):
-        values = np.array([metrics[metric] for metrics in rated.values()])
-        cells = (values.mean(), values.min(), values.max()) if summary else values
-        better = "lower" if metric.endswith(_LOWER_IS_BETTER) else "higher"
-        if not metric.endswith("_gap"):
-            better = "" if metric == "achieved_label" else better
-            shown.add_row(metric, better, *map(significant, cells))
-    title = describe(scene, observer)
-    show(shown, f"score, label and field_…: {title}; dragan_…: {DRAGAN}", *dial_lines(archive))
-    for name, metrics in rated.items():
+
+def _observers(file: Path, asked: Sequence[str]) -> tuple[Scene, dict[str, Observer]]:
+    """The scene of a file, and the observers by their names."""
+    if not asked:
+        scene, observer = read_scene(file)
+        return scene, {"dragan" if observer == DEFAULT_OBSERVER else "scene": observer}
+    read = {name: read_scene(file, name) for name in asked}
+    return next(iter(read.values()))[0], {name: observer for name, (_, observer) in read.items()}
+
+
+def _warn(rated: Sequence["Score"]) -> None:
+    """Say which recordings are much smoothed, or do not lead from start to target."""
+    for each in rated:
+        name, metrics, least = each.recording.name, each.metrics, _GAP * each.archive.scene.diagonal
+        if each.recording.lost > _JITTER:
+            note(
+                f"trajectory {name}: {each.recording.lost:.0%} of its length is taken for noise of "
+                f"{number(1e3 * each.recording.noise)} mm"
+            )
         for verb, end in (("starts", "start"), ("ends", "target")):
-            if (gap := metrics[f"{end}_gap"]) > 0.01 * scene.diagonal:
+            if (gap := metrics[f"{end}_gap"]) > least:
                 problem = f"{verb} {number(gap)} m from the {end}, so its label means little"
                 note(f"trajectory {name} {problem}")
+
+
+def _row(observer: str, rated: "Score") -> dict[str, Any]:
+    """One row of the table of all metrics."""
+    recording = rated.recording
+    names = {"name": recording.name, "observer": observer, "target": rated.archive.target}
+    return {**names, "points": len(recording), **rated.metrics}
+
+
+def _steps(observer: str, rated: "Score") -> list[dict[str, Any]]:
+    """The rows of the table of belief over time."""
+    recording = rated.recording
+    names = {"trajectory": recording.name, "observer": observer}
+    return [
+        {
+            **names,
+            "t": time,
+            **dict(zip("xyz", point, strict=False)),
+            **{f"belief_{goal}": share for goal, share in enumerate(shares)},
+        }
+        for time, point, shares in zip(
+            recording.motion_times.tolist(),
+            recording.motion.tolist(),
+            rated.belief.tolist(),
+            strict=True,
+        )
+    ]
+
+
+def _write_csv(file: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """A table with a column for each key of any row."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    text = io.StringIO(newline="")
+    writer = DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(file, text.getvalue().encode())
+
+
+def _print(
+    title: str, rows: Sequence[dict[str, Any]], dials: dict[tuple[str, int], "Archive"]
+) -> None:
+    """Print a row for each trajectory and observer, and what the dials are worth."""
+    shown = {key: head for key, head in _SHOWN.items() if any(key in row for row in rows)}
+    several = {
+        "observer": len({row["observer"] for row in rows}) > 1,
+        "target": len({row["target"] for row in rows}) > 1,
+    }
+    names = ["name", *(key for key, differs in several.items() if differs)]
+    head = title if several["target"] else f"{title}, goal {rows[0]['target']}"
+    heads = ("trajectory", *names[1:], *shown.values())
+    result = table(head, *heads, text_columns=len(names))
+    for row in rows:
+        values = (significant(row[key]) if key in row else "" for key in shown)
+        result.add_row(*(str(row[name]) for name in names), *values)
+    show(result)
+    for (name, goal), archive in dials.items():
+        observer = describe(archive.scene, archive.observer)
+        place = f"goal {goal}, " * several["target"]
+        show(f"{name}: {place}{observer}", *(f"  {line}" for line in dial_lines(archive)))

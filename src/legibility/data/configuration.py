@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import bounded, count, positive, random_seed
+from ..checks import bounded, check_choices, choice, count, one_of, positive, random_seed
 from ..errors import DatasetError, InvalidInputError
 from ..intent.observer import Observer
 from ..motion.archive import Archive, build_archive, passable
+from ..robots import ARM_NAMES
 from ..scene import Scene
 from ..seeds import STREAMS, stream_seed
 from .rooms import add_obstacles, default_like, random_observer, random_room
@@ -32,7 +33,22 @@ REGIMES = ("paper", "dragan", "observers", "rooms", "obstacles", "all", "trainin
 * `training`: a mixture of all of these.
 """
 
+FORMATS = ("torch", "lerobot", "csv")
+"""Formats of an export."""
+
 _ANY_GOALS = (2, 8)
+_OF_GIVEN = {"given", "recordings", "mix"}
+
+
+def targets_of(scene: Scene) -> tuple[Scene, ...]:
+    """A scene with each of its goals as the target, goal 0, in turn."""
+    return tuple(with_target_first(scene, target) for target in range(scene.num_goals))
+
+
+def with_target_first(scene: Scene, target: int) -> Scene:
+    """The scene with goal `target` as goal 0."""
+    goals = np.concatenate([scene.goals[[target]], np.delete(scene.goals, target, axis=0)])
+    return replace(scene, goals=goals)
 
 
 @dataclass(frozen=True)
@@ -40,7 +56,7 @@ class SceneStream:
     """Random scenes and observers by index; the target is goal 0 in each scene.
 
     Attributes:
-        stream: seed stream, train, validation or evaluation; no two share a scene.
+        stream: seed stream, one of `seeds.STREAMS`; no two share a scene.
         dim: 2 or 3.
         regime: of scenes and observers: paper, dragan, observers, rooms, obstacles, all, or
             training, a mixture of these; see `REGIMES`.
@@ -49,19 +65,14 @@ class SceneStream:
     """
 
     stream: str
-    dim: int = 2
-    regime: str = "dragan"
+    dim: int = choice(2, (2, 3))
+    regime: str = choice("dragan", REGIMES)
     goals: tuple[int, int] = (2, 6)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, allowed in (("stream", STREAMS), ("regime", REGIMES)):
-            if getattr(self, name) not in allowed:
-                raise InvalidInputError(
-                    f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
-                )
-        if self.dim not in (2, 3):
-            raise InvalidInputError(f"dim must be 2 or 3, got {self.dim!r}")
+        one_of("stream", self.stream, STREAMS)
+        check_choices(self)
         random_seed("seed", self.seed)
         goals = [count("goals", n, low=2) for n in self.goals] if np.iterable(self.goals) else []
         if len(goals) != 2 or not goals[0] <= goals[1] <= 12:
@@ -133,11 +144,15 @@ class DatasetConfig(SceneStream):
             than an archive that judges, to afford more scenes.
         candidates: most curves tried for an archive.
         observer: its α, detour and label are those of all observers.
-        given: instead of random scenes this one, with each of its goals as the target in turn.
+        given: instead of random scenes these; the target is goal 0 in each, see `targets_of`.
+        recordings: hash of recorded motions in the given scenes, from which the trajectories are
+            chosen; none, and they are chosen from each archive.
+        mix: with recorded motions, share of the trajectories that is chosen from the archive, where
+            the motions leave gaps on the dial.
     """
 
-    stream: str = "train"
-    regime: str = "training"
+    stream: str = choice("train", ("train", "validation"))
+    regime: str = choice("training", REGIMES)
     scenes: int = 1000
     views: int = 3
     per_scene: int = 65
@@ -145,22 +160,27 @@ class DatasetConfig(SceneStream):
     cells: int = 0
     candidates: int = 24_576
     observer: Observer = field(default_factory=Observer)
-    given: Scene | None = None
+    given: tuple[Scene, ...] = ()
+    recordings: str = ""
+    mix: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.given is not None:
-            number = self.given.num_goals
-            object.__setattr__(self, "dim", self.given.dim)
-            object.__setattr__(self, "goals", (number, number))
-            object.__setattr__(self, "scenes", min(self.scenes, number))
+        if self.given:
+            numbers = [scene.num_goals for scene in self.given]
+            object.__setattr__(self, "given", tuple(self.given))
+            object.__setattr__(self, "dim", self.given[0].dim)
+            object.__setattr__(self, "goals", (min(numbers), max(numbers)))
+            object.__setattr__(self, "scenes", min(self.scenes, len(self.given)))
+            if {scene.dim for scene in self.given} != {self.dim}:
+                raise InvalidInputError("all scenes must be 2D, or all 3D, got both")
         super().__post_init__()
+        if self.recordings and not self.given:
+            raise InvalidInputError("recordings need the scenes that they were recorded in")
+        if bounded("mix", self.mix, 0, 1) and not self.recordings:
+            raise InvalidInputError(f"mix belongs to recordings, got {self.mix:g} without any")
         count("scenes", self.scenes)
         count("views", self.views)
         count("per_scene", self.per_scene, low=3)
-        if self.stream == "evaluation":
-            raise InvalidInputError(
-                "stream must be train or validation, the scenes of evaluation are for evaluations"
-            )
         object.__setattr__(self, "goals", tuple(self.goals))
         if not isinstance(self.observer, Observer):
             raise InvalidInputError(
@@ -174,35 +194,36 @@ class DatasetConfig(SceneStream):
 
     def scene(self, index: int) -> Scene:
         """See `SceneStream`; the target is goal 0 in a given scene, too."""
-        if self.given is None:
-            return super().scene(index)
-        goals = np.concatenate([self.given.goals[[index]], np.delete(self.given.goals, index, 0)])
-        return replace(self.given, goals=goals)
+        return self.given[index] if self.given else super().scene(index)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for the manifest; `given` only if it is."""
-        content = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "given"}
+        """Plain values for the manifest; those of given scenes only if there are any."""
+        content = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _OF_GIVEN}
         plain = {"goals": list(self.goals), "observer": self.observer.to_dict()}
-        return {**content, **plain, **({"given": self.given.to_dict()} if self.given else {})}
+        given = {"given": [scene.to_dict() for scene in self.given]} if self.given else {}
+        shown = {"recordings": self.recordings, "mix": self.mix} if self.recordings else {}
+        return {**content, **plain, **given, **shown}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> DatasetConfig:
         """The inverse of `to_dict`; keys must match exactly."""
-        if strange := (set(content) | {"given"}) ^ {f.name for f in fields(cls)}:
+        if strange := (set(content) | _OF_GIVEN) ^ {f.name for f in fields(cls)}:
             raise DatasetError(f"dataset settings missing or unknown: {sorted(strange)}")
         try:
             observer = Observer.from_dict(content["observer"])
-            given = Scene.from_dict(content["given"]) if "given" in content else None
+            given = tuple(map(Scene.from_dict, content.get("given", ())))
             return cls(**{**content, "observer": observer, "given": given})
         except (TypeError, InvalidInputError) as cause:
             raise DatasetError(f"the settings of a dataset are not ours: {cause}") from cause
 
     def for_validation(self) -> DatasetConfig:
-        """The same settings for 128 scenes of the validation stream, each with one observer.
+        """The same settings for scenes of the validation stream, each with one observer.
 
-        Of a given scene: other trajectories in it.
+        They are 128, or as many as these if there are fewer; of given scenes they are other
+        trajectories in them, from their archives.
         """
-        return replace(self, stream="validation", scenes=VALIDATION_SCENES, views=1)
+        other = {"stream": "validation", "scenes": min(self.scenes, VALIDATION_SCENES), "views": 1}
+        return replace(self, **other, recordings="", mix=0.0)
 
 
 @dataclass(frozen=True)
@@ -225,7 +246,7 @@ class DemonstrationsConfig:
     noise: float | None = None
     pushed: float = 0.25
     push: float | None = None
-    arm: str | None = None
+    arm: str | None = choice(None, ARM_NAMES, more="FILE")
 
     def __post_init__(self) -> None:
         count("demonstrations", self.demonstrations, low=0)

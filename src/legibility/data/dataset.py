@@ -8,11 +8,11 @@ atomically, so an interrupted run resumes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -29,6 +29,9 @@ from ..scene import Scene
 from ..seeds import stream_seed
 from .configuration import DatasetConfig
 from .shards import SHARD, ShardProgress, flat, make_shards, read_shards, shard_bytes
+
+if TYPE_CHECKING:
+    from .trajectories import TorchTrajectories
 
 LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, from which a label is read off a score."""
@@ -68,13 +71,13 @@ class Choice:
 
     @np.errstate(under="ignore")
     def select(
-        self, seen: Archive, num: int, efficiency: float, rng: np.random.Generator
+        self, seen: Archive, wanted: Array, efficiency: float, rng: np.random.Generator
     ) -> dict[str, Array]:
-        """Choose `num` paths at equal steps of ℓ from −1 to 1, short ones rather than long.
+        """Choose a path for each level of ℓ, short ones rather than long.
 
         Args:
             seen: the archive for an observer.
-            num: number of paths.
+            wanted: levels `(num,)`, rising.
             efficiency: see `DatasetConfig`.
             rng: source of randomness.
 
@@ -86,8 +89,7 @@ class Choice:
         detour = self.lengths / np.linalg.norm(self.paths[0, -1] - self.paths[0, 0]) - 1
 
         order = np.argsort(labels, kind="stable")
-        ranked = labels[order]
-        wanted = np.linspace(-1, 1, num)
+        ranked, num = labels[order], len(wanted)
         # Candidates for a level: all within half a step, and four on either side at least.
         centre, size = np.searchsorted(ranked, wanted), len(order)
         low = np.minimum(np.searchsorted(ranked, wanted - 1 / num), np.maximum(centre - 4, 0))
@@ -106,8 +108,11 @@ class Choice:
         }
 
 
-def _rows(config: DatasetConfig, index: int) -> Iterator[dict[str, Any]]:
-    """The rows of scene `index`, one for each observer."""
+def _rows(config: DatasetConfig, index: int, recorded: Array | None) -> Iterator[dict[str, Any]]:
+    """The rows of scene `index`, one for each observer.
+
+    `recorded (M, K + 2, D)` [m] are the paths of recorded motions, if the choice is from these.
+    """
     archive = config.archive(
         index, config.observer, cells=config.cells, max_candidates=config.candidates
     )
@@ -116,7 +121,11 @@ def _rows(config: DatasetConfig, index: int) -> Iterator[dict[str, Any]]:
     for view in range(config.views):
         observer = config.observer_of(index, scene, config.observer, view)
         seen = archive.seen_by(observer) if view else archive
-        chosen = choice.select(seen, config.per_scene, config.efficiency, rng)
+        if recorded is None:
+            wanted = np.linspace(-1, 1, config.per_scene)
+            chosen = choice.select(seen, wanted, config.efficiency, rng)
+        else:
+            chosen = _mixed(config, choice, seen, recorded, rng)
         yield {
             "scene": json.dumps(scene.to_dict()),
             "observer": json.dumps(observer.to_dict()),
@@ -129,14 +138,52 @@ def _rows(config: DatasetConfig, index: int) -> Iterator[dict[str, Any]]:
         }
 
 
+def _mixed(
+    config: DatasetConfig, choice: Choice, seen: Archive, recorded: Array, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Recorded paths `(M, K + 2, D)` [m], and a share `mix` from the archive.
+
+    Each recorded one once, then those again that are next to equal steps of ℓ over their range; of
+    too many, only the latter. The archive's are at levels of ℓ where the recorded leave gaps.
+    """
+    num = config.per_scene - round(config.mix * config.per_scene)
+    scores = seen.observer.score(path_curve(recorded, SCORE_POINTS), seen.scene, seen.target)
+    labels = seen.label_of(scores)
+    chosen = np.arange(len(labels) if len(labels) <= num else 0)
+    wanted = np.linspace(labels.min(), labels.max(), num - len(chosen))
+    chosen = np.concatenate([chosen, np.abs(labels - wanted[:, None]).argmin(-1)])
+    parts = [{
+        "waypoints": recorded[chosen, 1:-1],
+        "scores": scores[chosen],
+        "labels": labels[chosen],
+    }]  # fmt: skip
+    if num < config.per_scene:
+        gaps = _gaps(labels[chosen], config.per_scene - num)
+        parts.append(choice.select(seen, gaps, config.efficiency, rng))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _gaps(labels: Array, num: int) -> Array:
+    """`num` levels from −1 to 1, rising, each as far as may be from `labels` and those before."""
+    levels = np.linspace(-1, 1, 201)
+    apart = np.abs(levels - labels[:, None]).min(0, initial=2.0)
+    found = []
+    for _ in range(num):
+        found.append(levels[np.argmax(apart)])
+        apart = np.minimum(apart, np.abs(levels - found[-1]))
+    return np.sort(found)
+
+
 def shard_names(config: DatasetConfig) -> list[str]:
     """File names of all shards of a dataset."""
     return [f"{config.stream}-{i:05d}.parquet" for i in range(-(-config.scenes // SHARD))]
 
 
 @np.errstate(under="ignore")
-def _shard(config: DatasetConfig, scenes: range) -> bytes:
-    rows = [row for i in scenes for row in _rows(config, i)]
+def _shard(config: DatasetConfig, part: tuple[int, Sequence[Array | None]]) -> bytes:
+    """The rows of some scenes: the index of the first, and the recorded paths in each, if any."""
+    first, recorded = part
+    rows = [row for i, paths in enumerate(recorded, first) for row in _rows(config, i, paths)]
     return shard_bytes(rows, config.to_dict())
 
 
@@ -144,6 +191,7 @@ def generate(
     config: DatasetConfig,
     folder: str | Path,
     *,
+    recorded: Sequence[Array] | None = None,
     workers: int = 1,
     cluster: str | None = None,
     progress: ShardProgress = lambda done, total: None,
@@ -153,6 +201,8 @@ def generate(
     Args:
         config: the settings.
         folder: of the dataset; made if it is missing.
+        recorded: paths `(M, K + 2, D)` [m] of recorded motions in each scene, if `config` names the
+            `recordings` that they are from.
         workers: processes on this machine, see `pool`.
         cluster: address of a Dask scheduler, see `pool`.
         progress: called with the number of shards done and that of all.
@@ -163,12 +213,17 @@ def generate(
         WorkerError: there are no workers, or they die again and again.
     """
     folder = at_home(folder)
-
+    paths: Sequence[Array | None] = [None] * config.scenes if recorded is None else recorded
+    if len(paths) != config.scenes or bool(config.recordings) != (recorded is not None):
+        raise InvalidInputError(
+            f"recorded paths must be given for each of the {config.scenes} scenes, and only if "
+            f"recordings are named, got {len(paths)}"
+        )
     rows = config.scenes * config.views
     counts = {"scenes": config.scenes, "trajectories": rows * config.per_scene}
     make_shards(
         folder, _MANIFEST, config.to_dict(), shard_names(config), partial(_shard, config), counts,
-        source=lambda i: range(i * SHARD, min((i + 1) * SHARD, config.scenes)),
+        source=lambda i: (i * SHARD, paths[i * SHARD : (i + 1) * SHARD]),
         workers=workers, cluster=cluster, progress=progress,
     )  # fmt: skip
     return Dataset.load(folder)
@@ -184,7 +239,7 @@ class Dataset:
             the first n scenes.
         scenes: S, those of one archive side by side; the target is goal 0 in each.
         observers: S.
-        controls: `(S, N, 4, D)` float32 [m], cubic Béziers.
+        controls: `(S, N, 4, D)` float32 [m], cubic Béziers; None with recorded motions.
         waypoints: `(S, N, K, D)` float32 [m], between start and goal at equal arc length.
         scores: `(S, N)` float32, of the curve through start, waypoints and goal.
         labels: `(S, N)` float32.
@@ -196,7 +251,7 @@ class Dataset:
     digest: str
     scenes: list[Scene]
     observers: list[Observer]
-    controls: np.ndarray
+    controls: np.ndarray | None
     waypoints: np.ndarray
     scores: np.ndarray
     labels: np.ndarray
@@ -222,16 +277,22 @@ class Dataset:
             raise InvalidInputError(f"the data have {self.config.scenes} scenes, {num} are asked")
         if num == self.config.scenes:
             return self
-        arrays = (
-            "scenes", "observers", "controls", "waypoints", "scores", "labels", "score_at_label",
-        )  # fmt: skip
         rows = num * self.config.views
+        arrays = ("scenes", "observers", "waypoints", "scores", "labels", "score_at_label")
+        controls = None if self.controls is None else self.controls[:rows]
         return Dataset(
-            config=replace(self.config, scenes=num),
+            controls=controls,
+            config=replace(self.config, scenes=num, given=self.config.given[:num]),
             digest=f"{self.digest}[:{num}]",
             summary={name: values[:rows] for name, values in self.summary.items()},
             **{name: getattr(self, name)[:rows] for name in arrays},
         )
+
+    def to_torch(self) -> TorchTrajectories:
+        """The trajectories as a Dataset of PyTorch, whose samples are dicts of tensors."""
+        from .trajectories import TorchTrajectories
+
+        return TorchTrajectories(self)
 
     @classmethod
     def _of_table(cls, content: dict[str, Any], digest: str, table: pa.Table) -> Dataset:
@@ -252,7 +313,7 @@ class Dataset:
             observers=[
                 Observer.from_dict(json.loads(text)) for text in table["observer"].to_pylist()
             ],
-            controls=dense("controls", num, 4, dim),
+            controls=None if config.recordings else dense("controls", num, 4, dim),
             waypoints=dense("waypoints", num, NUM_WAYPOINTS, dim),
             scores=dense("scores", num),
             labels=dense("labels", num),

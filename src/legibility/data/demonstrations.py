@@ -44,6 +44,7 @@ class Demonstrations:
         digest: hash over all shards.
         workspace: `(2, D)` [m].
         limit: largest displacement of an action along each axis [m].
+        scenes: `(N,)`, the index of each one's scene in the dataset.
         paths: `(N, K + 2, D)` [m], the paths that they follow.
         labels: `(N,)`, of the paths.
         states: N arrays `(T + 1, D)` [m].
@@ -56,6 +57,7 @@ class Demonstrations:
     digest: str
     workspace: Array
     limit: float
+    scenes: np.ndarray
     paths: Array
     labels: Array
     states: list[Array]
@@ -93,6 +95,7 @@ class Demonstrations:
             digest=digest,
             workspace=np.array(content["workspace"]),
             limit=content["limit"],
+            scenes=table["scene"].to_numpy(),
             paths=points("path", NUM_WAYPOINTS + 2),
             labels=table["label"].to_numpy().astype(np.float64),
             states=np.split(points("states"), ends + later),

@@ -7,6 +7,7 @@ so an interrupted run resumes.
 import hashlib
 import io
 import json
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +19,8 @@ import pyarrow.parquet as pq
 from ..errors import DatasetError
 from ..files import file_hash, read_text, write_bytes, write_json
 from ..parallel import pool
+
+_LOG = logging.getLogger(__name__)
 
 SHARD = 64
 """Scenes in a shard."""
@@ -116,6 +119,7 @@ def read_shards(
             raise DatasetError(f"{path} is missing or not as it was written")
         digest = hashlib.sha256("".join(shard["sha256"] for shard in shards).encode())
         table = pa.concat_tables([pq.read_table(folder / shard["name"]) for shard in shards])
+        _LOG.info("read %d rows in %d shards of %s", len(table), len(shards), folder)
         return build(content["config"], digest.hexdigest(), table.combine_chunks())
     except (LookupError, TypeError, ValueError, pa.ArrowException) as cause:
         raise DatasetError(f"{folder} has a manifest that does not fit its shards") from cause

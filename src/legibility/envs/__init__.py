@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from ..checks import one_of
 from ..errors import InvalidInputError
 
 if TYPE_CHECKING:
     from .block_reach import BlockReachVector
+    from .own import Environment as Environment
+    from .own import check as check
 
 MAX_EPISODE_STEPS = 400
 
@@ -40,8 +43,7 @@ def environment_dim(name: str) -> int:
     Raises:
         InvalidInputError: there is no such environment.
     """
-    if name not in ENVIRONMENTS:
-        raise InvalidInputError(f"env must be one of {', '.join(ENVIRONMENTS)}, got {name!r}")
+    one_of("env", name, ENVIRONMENTS)
     return 2 if name == DEFAULT_ENVIRONMENT[2] else 3
 
 
@@ -67,5 +69,11 @@ def vector_type(name: str | None, dim: int) -> type[BlockReachVector]:
 
 def check_render_mode(mode: Any, modes: Sequence[str]) -> None:
     """Raise unless `mode` is None or one of `modes`."""
-    if mode not in (None, *modes):
-        raise InvalidInputError(f"render_mode must be one of {list(modes)}, got {mode!r}")
+    if mode is not None:
+        one_of("render_mode", mode, modes)
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("Environment", "check"):  # loaded on first use
+        return getattr(importlib.import_module(".own", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

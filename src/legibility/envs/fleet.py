@@ -25,6 +25,24 @@ def is_vector(env: Any) -> bool:
     return isinstance(env, gymnasium.vector.VectorEnv)
 
 
+def fleet_of(env: Any, seed: int) -> "Fleet":
+    """The robots of an environment of this package, in any wrappers, or the one of your own.
+
+    Args:
+        env: see `Fleet` and `OwnFleet`.
+        seed: of the reset of an environment that was never reset.
+
+    Raises:
+        InvalidInputError: it is neither, or is not ready for a motion.
+    """
+    single = getattr(getattr(env, "unwrapped", None), "batch", None)
+    if is_vector(env) or isinstance(single, BlockReachVector):
+        return Fleet(env, seed)
+    from .own import OwnFleet
+
+    return OwnFleet(env, seed)
+
+
 def _gathered(name: str, doc: str) -> Any:
     return property(lambda fleet: fleet._gather(name), doc=doc)
 
@@ -123,10 +141,11 @@ class Fleet:
 
     def step(
         self, actions: Array, active: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         """Send `actions (B, D)` [m] to the robots that are `active (B,)`.
 
-        Return whether each has succeeded and whether its episode has ended, `(B,)` each.
+        Return whether each has succeeded, and whether its episode was terminated and truncated,
+        `(B,)` each.
 
         Raises:
             InvalidInputError: an active robot did not receive its action.
@@ -143,7 +162,7 @@ class Fleet:
                 f"change, delay or repeat actions: {_names(self._env)}"
             )
         terminated, truncated = (np.atleast_1d(np.asarray(ends)) for ends in step[2:4])
-        return self._gather("success"), terminated | truncated
+        return self._gather("success"), terminated, truncated
 
     def _through_wrappers(self, method: Callable[..., Any], *args: Any, **options: Any) -> Any:
         """The result of a method of the environment; an error of its wrappers names them."""
@@ -169,7 +188,7 @@ def _batches(env: Any) -> list[BlockReachVector]:
     if not singles or not all(isinstance(single, BlockReachVector) for single in singles):
         raise InvalidInputError(
             "env must be an environment of legibility, a vector of them or a SyncVectorEnv of "
-            f"them, got {env}; {_ADVICE}"
+            f"them, got {env}; {_ADVICE}; your own environments move one at a time"
         )
     mode = inner.metadata.get("autoreset_mode")
     if mode is not AutoresetMode.NEXT_STEP:
@@ -182,7 +201,7 @@ def _batches(env: Any) -> list[BlockReachVector]:
 
 def _names(env: Any) -> str:
     """`env` with its wrappers, and the first environment of a vector with its own."""
-    return ", ".join(map(str, [env, *getattr(env.unwrapped, "envs", ())[:1]]))
+    return ", ".join(map(str, [env, *getattr(getattr(env, "unwrapped", env), "envs", ())[:1]]))
 
 
 def _time_limits(env: Any) -> Array:

@@ -6,6 +6,7 @@ import ctypes.util
 import functools
 import importlib.util
 import itertools
+import logging
 import os
 import threading
 import warnings
@@ -26,6 +27,8 @@ from ..robots.simulator import import_mujoco, solid_geom
 from ..scene import Scene
 from .arm import BLOCK
 from .colors import GOALS, INK, OBSTACLE
+
+_LOG = logging.getLogger(__name__)
 
 _STACK, _RING = (0.80, 0.80, 0.79, 1.0), 0.75 * BLOCK * 2**0.5
 _SMOOTH, _FINE = 2, 3
@@ -176,6 +179,7 @@ def _renderer(arm: Arm) -> _Renderer | None:
         for way in _ways():
             try:
                 _LOCAL.renderer = _Renderer(importlib.import_module(way), arm)
+                _LOG.info("MuJoCo draws by %s", way)
                 break
             except Exception as cause:  # drivers fail in many ways; the sketch always works
                 causes.append(f"{way}: {type(cause).__name__}: {cause}")

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array, finite_array, random_seed
+from ..scene import Scene
 from . import check_render_mode
 from .block_reach import BlockReachVector
 
@@ -14,8 +15,14 @@ from .block_reach import BlockReachVector
 class BlockReach(gymnasium.Env[dict[str, Any], Array]):
     """One robot: a vector of one, of type `batch_type`, behind Gymnasium's interface.
 
+    It is an `Environment` as `Modulator.execute` needs it.
+
     Attributes:
         batch: the vector, which holds the state; see there for its attributes.
+        max_displacement: largest displacement of an action along each axis [m].
+        dt: duration of a step [s].
+        lag: largest lag of the actuators.
+        arm: that moves, if it is one.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's own form)
@@ -41,6 +48,40 @@ class BlockReach(gymnasium.Env[dict[str, Any], Array]):
         self.action_space = self.batch.single_action_space
         self.render_mode = render_mode
         self._window: Any = None
+        self.max_displacement, self.dt = (
+            self.batch.max_displacement,
+            1 / self.metadata["render_fps"],
+        )
+        self.lag, self.arm = self.batch.lag_range[1], self.batch.arm
+
+    @property
+    def scene(self) -> Scene | None:
+        """The present scene, with the start of the episode; None before the first reset."""
+        return self.batch.scenes[0] if self.batch.scenes else None
+
+    @property
+    def target(self) -> int:
+        """Index of the intended goal."""
+        return int(self.batch.targets[0])
+
+    @property
+    def position(self) -> Array:
+        """`(D,)` [m]."""
+        return self.batch.positions[0].copy()
+
+    @property
+    def success(self) -> bool:
+        """Whether the episode ended by success."""
+        return bool(self.batch.success[0])
+
+    @property
+    def joint_angles(self) -> Array:
+        """`(J,)` [rad], of an arm; J = 0 where there is none."""
+        return self.batch.joint_angles[0]
+
+    def set_target(self, target: int) -> None:
+        """Set the intended goal; an invalid index raises."""
+        self.batch.set_target(0, target)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..checks import Array
 from ..curves import resample
+from ..drivers import Driver
 from ..envs.block_reach import BlockReachVector
 from ..intent.metrics import dragan_legibility
 from ..modulator import Modulator
@@ -160,15 +161,22 @@ def execute_paths(
     plan_seed: int,
     env_seed: int,
     advance: Callable[[int], None] = lambda number: None,
+    driver: Callable[[slice], Driver | None] | None = None,
 ) -> list[Rollout]:
-    """Execute the paths of one scene, as many at once as fit, each by another robot."""
+    """Execute the paths of one scene, as many at once as fit, each by another robot.
+
+    With a `driver`, which gives what moves a part of them, None for stage 2, none is replanned.
+    """
     rollouts: list[Rollout] = []
     for first in range(0, len(plans.waypoints), kind.at_once):
         paths = [plans[i] for i in range(first, min(first + kind.at_once, len(plans.waypoints)))]
+        part = slice(first, first + len(paths))
+        how = {} if driver is None else {"driver": driver(part), "replan": False}
         rollouts += execute(
             modulator, kind, [plans.scene] * len(paths), env_seed + first,
             {"target": plans.target}, legibility=[path.legibility for path in paths],
             seed=plan_seed + first, paths=paths, observer=plans.observer,
+            **how,
         )  # fmt: skip
         advance(len(paths))
     return rollouts

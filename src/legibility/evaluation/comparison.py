@@ -34,6 +34,7 @@ from ..seeds import plan_seeds
 from .common import Progress, level_steps, plan_milliseconds, silent, world
 from .configuration import SingleSceneConfig, Table1Config, UnseenConfig
 from .contest import BASELINE, METHODS, OURS, Contest, Job
+from .own_method import load_methods
 from .statistics import (
     bootstrap_interval,
     holm,
@@ -179,13 +180,14 @@ def evaluate_table1(
         `methods`: for each its times and, toward either target, success with interval, end reasons,
         `METRICS` with mean and interval, and all values of the tested ones; `oracle`: the metrics
         of the archive's most legible trajectory itself, not executed; `tests`: see `compare`;
-        `search`: number of curves that the two searches drew.
+        `search`: number of curves that the two searches drew; `own`: of each method of the user its
+        `kind`, planner or policy, and the `sha256` of its file.
     """
     contest, place = _contest(modulator, policies, config)
     times = contest.times(place.scene)
     archives = table_archives(modulator, place)
     jobs = table_jobs(place, config)
-    work = [(name, letter) for letter in TARGETS for name in METHODS]
+    work = [(name, letter) for letter in TARGETS for name in contest.names]
     tasks = [(n, jobs[letter], [archives[letter]] * config.rollouts) for n, letter in work]
     with pool(workers, cluster) as each:
         motions = contest.motions(tasks, each, progress)
@@ -198,6 +200,7 @@ def evaluate_table1(
         "env": world(contest.kind),
         "oracle": oracle,
         "search": contest.sizes,
+        "own": {name: method.record for name, method in contest.own.items()},
     }
 
 
@@ -276,7 +279,8 @@ def evaluate_unseen(
         means; `ratio`: of L_d and L_p the ratio to the scene's oracle (its archive's most legible
         trajectory, not executed), its median over scenes with interval, and all values; for methods
         with a dial, `spearman` and `error` of the executed ℓ; `goals`: number in each scene;
-        `tests`: see `compare`, paired by scene; `search`: number of curves of the two searches.
+        `tests`: see `compare`, paired by scene; `search`: number of curves of the two searches;
+        `own` as of `evaluate_table1`. Methods of the user count as such with a dial.
     """
     contest, place = _contest(modulator, policies, config)
     source = SceneStream("evaluation", contest.kind.dim, "paper", config.goals, config.seed)
@@ -285,15 +289,16 @@ def evaluate_unseen(
     levels = level_steps(config.levels)
     legible = _jobs(archives, [1.0] * config.rollouts, config.seed, "plan")
     dial = _jobs(archives, levels.tolist(), config.seed, "demonstration")
-    with_dial = [name for name, method in METHODS.items() if method.dial]
-    work = [(name, *legible) for name in METHODS] + [(name, *dial) for name in with_dial]
+    names = contest.names
+    with_dial = [name for name in names if name in contest.own or METHODS[name].dial]
+    work = [(name, *legible) for name in names] + [(name, *dial) for name in with_dial]
     with pool(workers, cluster) as each:
         motions = contest.motions(work, each, progress)
-    moved = dict(zip(METHODS, motions[: len(METHODS)], strict=True))
-    turned = dict(zip(with_dial, motions[len(METHODS) :], strict=True))
+    moved = dict(zip(names, motions[: len(names)], strict=True))
+    turned = dict(zip(with_dial, motions[len(names) :], strict=True))
     methods: dict[str, Any] = {}
     cells: dict[str, dict[str, Array]] = {}
-    for name in METHODS:
+    for name in names:
         values = _values(moved[name], legible[1], place.spacing)
         means = {m: array.reshape(config.scenes, -1).mean(axis=1) for m, array in values.items()}
         methods[name] = {
@@ -325,6 +330,7 @@ def evaluate_unseen(
         "least": _LEAST,
         "tests": compare(cells),
         "search": contest.sizes,
+        "own": {name: method.record for name, method in contest.own.items()},
     }
 
 
@@ -333,7 +339,7 @@ def _contest(
     modulator: Modulator, policies: dict[str, GoalPolicy], config: Table1Config
 ) -> tuple[Contest, TableScene]:
     """The contest, and the table's scene in which its searches were timed."""
-    kind = vector_type(config.env, modulator.config.dim)
+    kind, own = vector_type(config.env, modulator.config.dim), load_methods(config.method)
     place, size = SCENES[kind.dim], config.search_candidates
     sizes = (size, 10 * size)
     if not size:  # as many curves as fit in the time of a plan, and in ten times that
@@ -341,7 +347,7 @@ def _contest(
         plan = plan_milliseconds(modulator, place.scene, repeats=25, observer=observer)
         few, many = (candidates_within(f * plan, place.scene, 0, observer) for f in (1, 10))
         sizes = (few, many)
-    return Contest(modulator, policies, kind, sizes), place
+    return Contest(modulator, policies, kind, sizes, own), place
 
 
 def _jobs(
@@ -351,7 +357,7 @@ def _jobs(
     jobs = []
     for index, archive in enumerate(archives):
         seeds = iter(plan_seeds(seed, index, 2 * len(levels), use))
-        jobs += [Job(archive.scene, 0, level, next(seeds), next(seeds)) for level in levels]
+        jobs += [Job(archive.scene, 0, level, next(seeds), next(seeds), index) for level in levels]
     return jobs, [archive for archive in archives for _ in levels]
 
 

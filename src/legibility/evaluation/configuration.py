@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass
 
-from ..checks import bounded, count, positive, random_seed
+from ..checks import bounded, check_choices, choice, count, one_of, positive, random_seed
 from ..data.configuration import REGIMES, SceneStream
+from ..envs import ENVIRONMENTS
 from ..errors import InvalidInputError
 from ..models.configuration import BACKENDS
+from ..robots import ARM_NAMES
+from ..robots.limits import LIMITS
 
 EVALUATED = tuple(regime for regime in REGIMES if regime != "training")
 """The regimes of held-out scenes."""
@@ -14,7 +17,6 @@ MODES = ("bare", "quick", "exact")
 """How paths are planned: as the network draws them, by default, or exactly."""
 
 _DEFAULT_ROOM = ("paper", "dragan", "observers", "obstacles")
-_ONE_OBSERVER = ("paper", "dragan", "obstacles")
 
 
 def _check_counts(config: object, **least: int) -> None:
@@ -38,24 +40,18 @@ class HeldOutScenes:
     """
 
     scenes: int = 200
-    regime: str = "dragan"
+    regime: str = choice("dragan", EVALUATED)
     goals: tuple[int, int] = (2, 6)
     seed: int = 0
 
     def __post_init__(self) -> None:
         count("scenes", self.scenes)
-        self._check_regime(EVALUATED)
+        check_choices(self)
         self.stream(2)
 
     def stream(self, dim: int) -> SceneStream:
         """The scenes in D dimensions."""
         return SceneStream("evaluation", dim, self.regime, self.goals, self.seed)
-
-    def _check_regime(self, allowed: tuple[str, ...]) -> None:
-        if self.regime not in allowed:
-            raise InvalidInputError(
-                f"regime must be one of {', '.join(allowed)} here, got {self.regime!r}"
-            )
 
 
 @dataclass(frozen=True)
@@ -74,26 +70,27 @@ class DialConfig(HeldOutScenes):
             properties.
         env: environment of the execution, 2d, panda or pandagym; that of the dimension if not
             given.
+        method: planners of yours, measured as well, and policies of executed motions; each is
+            MODULE:NAME, of a module in this folder or installed, or FILE.py:NAME.
     """
 
     levels: int = 21
     samples: int = 8
-    modes: tuple[str, ...] = ()
+    modes: tuple[str, ...] = choice((), MODES)
     candidates: int = 16
     guidance: float | None = None
     steps: int | None = None
     closed_loop: bool = False
-    env: str | None = None
+    env: str | None = choice(None, ENVIRONMENTS)
+    method: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_counts(self, levels=3, samples=1, candidates=0)
-        if strange := [mode for mode in self.modes if mode not in MODES]:
-            raise InvalidInputError(f"modes must be among {', '.join(MODES)}, got {strange[0]!r}")
         if not self.modes:
             object.__setattr__(self, "modes", ("quick",) if self.closed_loop else MODES)
         if self.closed_loop:
-            self._check_regime(_DEFAULT_ROOM)
+            one_of("regime of executed motions", self.regime, _DEFAULT_ROOM)
         elif self.env is not None:
             raise InvalidInputError(f"env {self.env} belongs to closed_loop, which is not asked")
 
@@ -127,13 +124,13 @@ class OptimumConfig(HeldOutScenes):
     """
 
     scenes: int = 100
+    regime: str = choice("dragan", ("dragan",))
     starts: int = 8
     exact: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_counts(self, starts=1)
-        self._check_regime(("dragan",))
 
 
 @dataclass(frozen=True)
@@ -174,13 +171,12 @@ class ExternalConfig(HeldOutScenes):
     """
 
     scenes: int = 100
-    regime: str = "obstacles"
+    regime: str = choice("obstacles", ("dragan", "rooms", "obstacles"))
     levels: int = 11
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_counts(self, levels=2)
-        self._check_regime(("dragan", "rooms", "obstacles"))
 
 
 @dataclass(frozen=True)
@@ -195,14 +191,14 @@ class TimingConfig(HeldOutScenes):
             limits are its.
     """
 
+    regime: str = choice("dragan", ("dragan", "obstacles"))
     levels: int = 5
-    limits: str | None = None
-    arm: str | None = None
+    limits: str | None = choice(None, LIMITS)
+    arm: str | None = choice(None, ARM_NAMES, more="FILE")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_counts(self, levels=2)
-        self._check_regime(("dragan", "obstacles"))
 
 
 @dataclass(frozen=True)
@@ -215,19 +211,16 @@ class ControllerConfig(HeldOutScenes):
         backend: what runs the networks, torch or onnx.
     """
 
-    scenes: int = 200
+    regime: str = choice("dragan", ("dragan", "obstacles"))
     dt: float | None = None
     budget: float = 0.002
-    backend: str = "torch"
+    backend: str = choice("torch", BACKENDS)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_regime(("dragan", "obstacles"))
         if self.dt is not None:
             positive("dt", self.dt)
         bounded("budget", self.budget, 0)
-        if self.backend not in BACKENDS:
-            raise InvalidInputError(f"backend must be one of {BACKENDS}, got {self.backend!r}")
 
 
 @dataclass(frozen=True)
@@ -242,14 +235,14 @@ class ExecutionConfig(HeldOutScenes):
         arm: that moves in MuJoCo, a .yaml or .json file; the Panda if not given.
     """
 
+    regime: str = choice("dragan", ("paper", "dragan", "obstacles"))
     rollouts: int = 5000
     disturbance: float | None = None
-    env: str | None = None
-    arm: str | None = None
+    env: str | None = choice(None, ENVIRONMENTS)
+    arm: str | None = choice(None, ARM_NAMES, more="FILE")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_regime(_ONE_OBSERVER)
         if count("rollouts", self.rollouts) % self.scenes or self.rollouts < 3 * self.scenes:
             raise InvalidInputError(
                 f"rollouts must be a multiple of scenes, three or more in each, "
@@ -271,15 +264,19 @@ class Table1Config:
         seed: of the scenes, the plans, the actions and the robots' hidden properties.
         search_candidates: curves of the first search; the second draws ten times that. 0 means as
             many as fit in the time of a plan, which is measured first.
+        method: planners and policies of yours, a row each: MODULE:NAME, of a module in this folder
+            or installed, or FILE.py:NAME.
     """
 
-    env: str = "2d"
+    env: str = choice("2d", ENVIRONMENTS)
     rollouts: int = 100
     seed: int = 0
     search_candidates: int = 0
+    method: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         random_seed("seed", self.seed)
+        check_choices(self)
         _check_counts(self, rollouts=2, search_candidates=0)
 
 
@@ -298,7 +295,7 @@ class SingleSceneConfig:
         networks: trainings of Legibility Diffuser, of which the best is taken.
     """
 
-    env: str = "2d"
+    env: str = choice("2d", ("2d", "panda"))
     rollouts: int = 100
     seed: int = 0
     demonstrations: int = 150
@@ -313,8 +310,7 @@ class SingleSceneConfig:
             self, rollouts=2, demonstrations=3, training_steps=1, batch=8, tuning_rollouts=1,
             networks=1,
         )  # fmt: skip
-        if self.env not in ("2d", "panda"):
-            raise InvalidInputError(f"env must be 2d or panda here, got {self.env!r}")
+        check_choices(self)
         if self.batch % 8:
             raise InvalidInputError(f"batch must be a multiple of 8, got {self.batch}")
 
@@ -335,6 +331,7 @@ class UnseenConfig(Table1Config):
     levels: int = 11
 
     def __post_init__(self) -> None:
+        check_choices(self)
         SceneStream("evaluation", goals=self.goals, seed=self.seed)
         _check_counts(self, rollouts=1, search_candidates=0, scenes=2, levels=3)
 
@@ -350,13 +347,14 @@ class SpectrumConfig:
         seed: of the plans, the actions and the robots' hidden properties.
     """
 
-    env: str = "2d"
+    env: str = choice("2d", ENVIRONMENTS)
     levels: int = 21
     rollouts: int = 50
     seed: int = 0
 
     def __post_init__(self) -> None:
         random_seed("seed", self.seed)
+        check_choices(self)
         _check_counts(self, levels=3, rollouts=2)
 
 

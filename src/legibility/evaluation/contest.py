@@ -23,6 +23,7 @@ from ..parallel import Each, threads
 from ..rollout import Rollout
 from ..scene import Scene
 from .common import Progress, counter, execute, gather, silent, world
+from .own_method import OwnMethod, OwnPolicy, Task
 
 CANDIDATES = 64
 """Paths drawn by the modulator's last row, which takes the best."""
@@ -69,6 +70,7 @@ class Job(NamedTuple):
     level: float
     env_seed: int
     plan_seed: int
+    scene_index: int = 0
 
 
 class Contest:
@@ -76,8 +78,11 @@ class Contest:
 
     Stage 2 of `modulator` follows the paths of all methods that have one; `policies` are the
     goal-conditioned baselines by the name of their method; `sizes` are the numbers of curves that
-    the two searches draw. Raises InvalidInputError without a stage 2, or if a policy moves robots
-    other than those of `kind`.
+    the two searches draw; `own` are methods of the user by name. Raises CheckpointError without a
+    stage 2, InvalidInputError if a policy moves robots other than those of `kind`.
+
+    Attributes:
+        names: of all methods, in the order of the tables.
     """
 
     def __init__(
@@ -86,10 +91,11 @@ class Contest:
         policies: dict[str, GoalPolicy],
         kind: type[BlockReachVector],
         sizes: tuple[int, int],
+        own: dict[str, OwnMethod] | None = None,
     ) -> None:
-        policy = modulator.path_policy
-        if policy is None:
-            raise InvalidInputError(f"the model {modulator.name} has no stage 2 to compare")
+        self.own = own or {}
+        self.names = [*METHODS, *self.own]
+        policy = modulator.stage_2()
         for name, model in {modulator.name: policy, **policies}.items():
             dim, limit = model.config.dim, model.config.limit
             if (dim, limit) != (kind.dim, kind.max_displacement):
@@ -109,7 +115,7 @@ class Contest:
         oracle, whose archive is given, has none.
         """
         medians = {}
-        for name in METHODS:
+        for name in self.names:
             if name != "oracle":
                 times = []
                 for seed in range(1 + _TIMED):
@@ -119,8 +125,10 @@ class Contest:
                     driver = _Stopwatch(self._driver(name, [job]))
                     self._execute([job], paths, driver)
                     moved = sum(driver.times)
-                    guided = METHODS[name].guided  # the path is not followed
-                    times.append((driver.times[0], moved) if guided else (planned, planned + moved))
+                    followed = driver.with_path
+                    times.append(
+                        (planned, planned + moved) if followed else (driver.times[0], moved)
+                    )
                 plan, motion = 1e3 * np.median(times[1:], axis=0)
                 medians[name] = {"plan": float(plan), "motion": float(motion)}
         return medians
@@ -130,6 +138,8 @@ class Contest:
 
         `archives` of each job's scene are for the oracle alone.
         """
+        if name in self.own:
+            return [self.own[name].paths([self._task(job)])[0] for job in jobs]
         if name == "oracle":
             return [archive_path(a, job.level) for job, a in zip(jobs, archives, strict=True)]
         if name.startswith("search"):
@@ -180,8 +190,13 @@ class Contest:
         paths = paths or self.paths(name, jobs, [])
         return self._execute(jobs, paths, self._driver(name, jobs))
 
+    def _task(self, job: Job) -> Task:
+        return Task(*job[:3], job.plan_seed, self.observer, job.scene_index)
+
     def _driver(self, name: str, jobs: Sequence[Job]) -> Driver:
-        if not METHODS[name].guided:
+        if name in self.own and self.own[name].is_policy:
+            return OwnPolicy(self.own[name], list(map(self._task, jobs)))
+        if name in self.own or not METHODS[name].guided:
             return Policy(self.policy)
         scenes, targets = [job.scene for job in jobs], [job.target for job in jobs]
         return GuidedPolicy(self.policies[name], scenes, targets, jobs[0].plan_seed)

@@ -1,6 +1,6 @@
 """The exactness of the dial: asked against achieved label on held-out scenes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 from ..checks import Array
 from ..curves import arc_length, turning
 from ..data.configuration import SceneStream
+from ..drivers import Driver
 from ..envs import vector_type
+from ..errors import InvalidInputError
 from ..modulator import Modulator
 from ..motion.archive import Archive, scene_archive
+from ..motion.path import Path
 from ..parallel import threads
 from ..seeds import plan_seeds
 from .common import (
@@ -27,6 +30,7 @@ from .common import (
     world,
 )  # fmt: skip
 from .configuration import MODES, DialConfig
+from .own_method import OwnMethod, OwnPolicy, Task, load_methods
 from .statistics import rank_correlation, spearman_ceiling, summary
 
 METRICS = {
@@ -98,23 +102,29 @@ def evaluate_dial(
         over scenes, 95 % interval, median, worst and best; `sound` and `degenerate`: the same of
         scenes whose labels mean something and of the others, None without any; `scenes`: the same
         of each scene, its number of goals, and for each mode the labels achieved at each level;
-        `levels`: the asked levels; `env`: the environment of a closed loop.
+        `levels`: the asked levels; `env`: the environment of a closed loop; `own`: of each method
+        of the user, which counts as a mode, its `kind` and the `sha256` of its file.
     """
     kind = vector_type(config.env, modulator.config.dim) if config.closed_loop else None
-    levels = level_steps(config.levels)
-    measure = partial(_measure, modulator, config.stream(modulator.config.dim), levels, config)
+    levels, own = level_steps(config.levels), load_methods(config.method)
+    for name, method in own.items():
+        if method.is_policy and kind is None:
+            raise InvalidInputError(f"method {name} is a policy, which needs closed_loop")
+    measure = partial(_measure, modulator, config.stream(modulator.config.dim), levels, config, own)
     rows = each_of(range(config.scenes), measure, workers, cluster, progress)
+    overall = partial(_overall, modes=[*(mode for mode in MODES if mode in config.modes), *own])
     return {
         **({"env": world(kind)} if kind else {}),
-        "overall": _overall(rows),
-        "sound": _overall([row for row in rows if not row["degenerate"]]),
-        "degenerate": _overall([row for row in rows if row["degenerate"]]),
+        "overall": overall(rows),
+        "sound": overall([row for row in rows if not row["degenerate"]]),
+        "degenerate": overall([row for row in rows if row["degenerate"]]),
         "levels": levels.tolist(),
         "scenes": rows,
+        "own": {name: method.record for name, method in own.items()},
     }
 
 
-def _overall(rows: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+def _overall(rows: Sequence[dict[str, Any]], modes: Sequence[str]) -> dict[str, Any] | None:
     """The summaries of some scenes."""
     if not rows:
         return None
@@ -123,7 +133,6 @@ def _overall(rows: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
         values = {n: [r[part][n] for r in rows if r[part].get(n) is not None] for n in names}
         return {name: summary(np.array(found)) for name, found in values.items() if found}
 
-    modes = [mode for mode in MODES if mode in rows[0]]
     return {
         "scenes": len(rows),
         "limits": summaries("limits", LIMITS),
@@ -133,7 +142,12 @@ def _overall(rows: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
 
 @threads(1)
 def _measure(
-    modulator: Modulator, source: SceneStream, levels: Array, config: DialConfig, index: int
+    modulator: Modulator,
+    source: SceneStream,
+    levels: Array,
+    config: DialConfig,
+    own: dict[str, OwnMethod],
+    index: int,
 ) -> dict[str, Any]:
     archive = source.archive(index, modulator.config.observer)
     scene, observer = archive.scene, archive.observer
@@ -144,17 +158,20 @@ def _measure(
         steps=config.steps,
     )  # fmt: skip
     modes: dict[str, Any] = {}
-    for mode in config.modes:
-        path = plan(legibility=judge.asked, **_OPTIONS[mode])
+    for mode in (*config.modes, *own):
+        driver = None
+        if mode in own:
+            path, driver = _planned_by(own[mode], judge, config.seed, index)
+        else:
+            path = plan(legibility=judge.asked, **_OPTIONS[mode])
         metrics: dict[str, Any] = {"replaced": float(np.mean(path.replaced))}
         if config.closed_loop:
             kind = vector_type(config.env, scene.dim)
-            rollouts = execute_paths(modulator, kind, path, seed, seed)
-            off = [r.deviation.mean() for r in rollouts] / path.length
-            metrics |= {
-                "success": float(np.mean([r.success for r in rollouts])),
-                "deviation": float(off.mean()),
-            }
+            rollouts = execute_paths(modulator, kind, path, seed, seed, driver=driver)
+            metrics["success"] = float(np.mean([r.success for r in rollouts]))
+            if mode not in own or not own[mode].is_policy:  # which follows no path
+                off = [r.deviation.mean() for r in rollouts] / path.length
+                metrics["deviation"] = float(off.mean())
             scores = np.array([r.score for r in rollouts])
             curves = np.stack([r.trajectory(_POINTS) for r in rollouts])
         else:
@@ -181,6 +198,22 @@ def _measure(
         "limits": rounded(limits),
         **modes,
     }
+
+
+def _planned_by(
+    method: OwnMethod, judge: "_Judge", seed: int, index: int
+) -> tuple[Path, Callable[[slice], Driver | None]]:
+    """The paths of a user's method, and what moves a part of the robots: a policy, or stage 2."""
+    archive, asked = judge.archive, judge.asked.tolist()
+    tasks = [
+        Task(archive.scene, 0, level, own_seed, archive.observer, index)
+        for level, own_seed in zip(asked, plan_seeds(seed, index, len(asked)), strict=True)
+    ]
+
+    def driver(part: slice) -> Driver | None:
+        return OwnPolicy(method, tasks[part]) if method.is_policy else None
+
+    return method.paths(tasks), driver
 
 
 class _Judge(NamedTuple):

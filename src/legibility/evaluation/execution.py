@@ -16,7 +16,7 @@ from ..data.configuration import SceneStream
 from ..drivers import Driver, Feedback, Policy, Replay
 from ..envs import vector_type
 from ..envs.block_reach import BlockReachVector
-from ..errors import InvalidInputError, InvalidSceneError
+from ..errors import InvalidSceneError
 from ..intent.observer import Observer
 from ..models.path_policy import PathPolicy
 from ..modulator import Modulator
@@ -95,9 +95,7 @@ def evaluate_execution(
         `contacts` (steps) in `touching` rollouts, and the environment's counts; `env`;
         `disturbance` [m]; `impassable`, the number of scenes drawn that the robot cannot pass.
     """
-    policy = modulator.path_policy
-    if policy is None:
-        raise InvalidInputError(f"the model {modulator.name} has no stage 2 to evaluate")
+    policy = modulator.stage_2()
     source = config.stream(modulator.config.dim)
     kind = vector_type(config.env, modulator.config.dim)
     arm = checked_arm(config.arm, modulator.config.dim)

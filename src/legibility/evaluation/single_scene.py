@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..curves import path_curve
-from ..data.configuration import DatasetConfig, DemonstrationsConfig
+from ..data.configuration import DatasetConfig, DemonstrationsConfig, targets_of
 from ..data.dataset import Dataset, generate
 from ..data.demonstrations import Demonstrations, demonstrate
 from ..envs import environment_dim, vector_type
@@ -167,7 +167,7 @@ def _data(
     """Paths, others for validation, and the demonstrations of the former."""
     source = DatasetConfig(
         regime="paper", views=1, per_scene=config.demonstrations, seed=config.seed,
-        given=place.scene,
+        given=targets_of(place.scene),
     )  # fmt: skip
     spread: dict[str, Any] = {"workers": workers, "cluster": cluster}
     data = generate(source, folder / "data", **spread)

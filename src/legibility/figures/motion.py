@@ -23,10 +23,10 @@ MOST = 5
 _WIDTH, _HEIGHT = 1.75, 1.1  # of a panel, at most and of each row [in]
 
 
-def check_number(number: int) -> None:
-    """Raise unless `number` timed motions can be shown side by side."""
+def check_number(number: int, what: str = "timed motions") -> None:
+    """Raise unless `number` motions can be shown side by side."""
     if not 1 <= number <= MOST:
-        raise InvalidInputError(f"a figure shows 1 to {MOST} timed motions, got {number}")
+        raise InvalidInputError(f"a figure shows 1 to {MOST} {what}, got {number}")
 
 
 def motion_figure(motions: Sequence[Motion], file: str | FilePath) -> None:
@@ -54,7 +54,7 @@ def motion_figure(motions: Sequence[Motion], file: str | FilePath) -> None:
             for panel, reader in zip(column[2:], watching, strict=True):
                 places = motion.in_frame("world").positions
                 posterior = reader.observer.field(path.scene).posterior(places)
-                _belief(panel, motion, posterior)
+                belief_panel(panel, motion.times, posterior, path.target)
             column[-1].set_xlabel("time [s]")
             level = f"{float(motion.path.legibility):g}".replace("-", "−")
             column[0].set_title(rf"$\ell$ = {level}" + f", {motion.duration:.2f} s")
@@ -64,9 +64,7 @@ def motion_figure(motions: Sequence[Motion], file: str | FilePath) -> None:
         panels[1, 0].legend(loc="upper center", fontsize=6, ncols=2, borderaxespad=0)
         panels[1, 0].set(ylim=(0, 1.25))
         for row, reader in zip(panels[2:], watching, strict=True):
-            row[0].set_ylabel(f"belief of\n{reader.short}", fontsize=7)
-            row[0].set(ylim=(-0.04, 1.06))
-            row[0].set_yticks((0, 0.5, 1), ("0", "½", "1"))
+            belief_axis(row[0], reader.short)
 
 
 def _speed(panel: Any, motion: Motion) -> None:
@@ -92,12 +90,18 @@ def _shares(panel: Any, motion: Motion) -> None:
     panel.axhline(1, color=MUTED, lw=0.6)
 
 
-def _belief(panel: Any, motion: Motion, posterior: Array) -> None:
+def belief_panel(panel: Any, times: Array, posterior: Array, target: int) -> None:
     """P(g) of each goal over time, and a diamond from where the target is believed for good."""
-    target = motion.path.target
     for goal, color in enumerate(goal_colors(posterior.shape[-1], target)):
-        panel.plot(motion.times, posterior[:, goal], color=color, lw=1.4 if goal == target else 0.8)
+        panel.plot(times, posterior[:, goal], color=color, lw=1.4 if goal == target else 0.8)
     panel.axhline(CONFIDENCE, color=MUTED, lw=0.6, ls=DASHED)
-    when = float(time_to_confidence(posterior, target)) * motion.duration
+    when = times[0] + float(time_to_confidence(posterior, target)) * (times[-1] - times[0])
     if np.isfinite(when):
         panel.plot([when], [CONFIDENCE], marker="D", ms=4, color=INK, zorder=5)
+
+
+def belief_axis(panel: Any, name: str) -> None:
+    """The vertical axis of a belief, with the observer's name."""
+    panel.set_ylabel(f"belief of\n{name}", fontsize=7)
+    panel.set(ylim=(-0.04, 1.06))
+    panel.set_yticks((0, 0.5, 1), ("0", "½", "1"))

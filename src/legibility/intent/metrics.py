@@ -21,6 +21,7 @@ from ..checks import (
     bounded,
     finite_array,
     goals_array,
+    one_of,
     positive,
     posterior_array,
     prior_array,
@@ -378,6 +379,4 @@ def _first(reached: np.ndarray) -> Array:
 
 
 def _cost(cost: Cost) -> Cost:
-    if cost not in COSTS:
-        raise InvalidInputError(f"cost must be one of {', '.join(COSTS)}, got {cost!r}")
-    return cost
+    return one_of("cost", cost, COSTS)

@@ -9,7 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import Array, bounded, finite_array, positive, prior_array
+from ..checks import (
+    Array,
+    bounded,
+    check_choices,
+    choice,
+    did_you_mean,
+    finite_array,
+    positive,
+    prior_array,
+)
 from ..errors import InvalidInputError
 from ..files import read_document, write_document
 from ..scene import Scene
@@ -22,6 +31,9 @@ KINDS = ("boltzmann", "gaussian")
 
 PRIORS = ("neutral", "uniform")
 """The named priors."""
+
+OBSERVERS = ("dragan", "paper")
+"""The named observers."""
 
 _PAPER_SIGMA = {2: 0.15, 3: 0.08}
 _SIGMA_SHARE, _DEPTH = 0.15, 3.0
@@ -56,7 +68,7 @@ class Observer:
         InvalidInputError: a value out of its range, or one that the kind does not have.
     """
 
-    kind: str = "boltzmann"
+    kind: str = choice("boltzmann", KINDS)
     prior: str | tuple[float, ...] = "neutral"
     sigma: float | None = None
     beta: float | None = None
@@ -64,18 +76,13 @@ class Observer:
     depth: float = _DEPTH
     alpha: float = DEFAULT_ALPHA
     detour: float = 2.5
-    label: str = "anchored"
+    label: str = choice("anchored", LABELS)
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        for name, allowed in (("kind", KINDS), ("label", LABELS)):
-            value = getattr(self, name)
-            if not isinstance(value, str) or value not in allowed:
-                raise InvalidInputError(
-                    f"{name} must be one of {', '.join(allowed)}, got {value!r}"
-                )
+        check_choices(self)
         if not isinstance(self.prior, str):
             weights = finite_array("prior", self.prior, ndim=1)
             prior_array(weights, max(2, len(weights)))
@@ -83,7 +90,7 @@ class Observer:
         elif self.prior not in PRIORS:
             raise InvalidInputError(
                 f"prior must be one of {', '.join(PRIORS)}, or a weight for each goal, "
-                f"got {self.prior!r}"
+                f"got {self.prior!r}{did_you_mean(self.prior, PRIORS)}"
             )
         foreign = ("sigma", "viewpoint") if self.kind == "boltzmann" else ("beta",)
         for name in foreign:
@@ -192,6 +199,7 @@ def observer_of(given: Any, dim: int, folder: Path = Path()) -> Observer:
     if not isinstance(given, str) or not given.lower().endswith((".yaml", ".yml", ".json")):
         raise InvalidInputError(
             f"observer must be dragan, paper or a file, .yaml or .json, got {given!r}"
+            f"{did_you_mean(given, OBSERVERS)}"
         )
     return Observer.load(folder / given)
 

@@ -1,6 +1,7 @@
 """Tensors on disk: safetensors with a JSON header, written atomically, loaded strictly."""
 
 import json
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from torch import Tensor, nn
 
 from ..errors import CheckpointError
 from ..files import write_bytes
+
+_LOG = logging.getLogger(__name__)
 
 
 def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], header: Any = None) -> None:
@@ -35,6 +38,7 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], Any]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as cause:
         raise CheckpointError(f"{path} is corrupted or not a safetensors file: {cause}") from cause
+    _LOG.info("loaded %s", path)
     return tensors, header
 
 

@@ -89,6 +89,7 @@ class PathDiffuserConfig(_NetworkConfig):
             v̂ = v(c) + w ℓ⁴ (v(c) − v(∅)). It works at the ends alone, where samples can only err
             inwards; between them it would overshoot.
         distilled: whether it is a student, which samples with its own steps and guidance only.
+        recorded: whether it learned recorded motions, whose waves are their style and no fault.
     """
 
     channels: tuple[int, ...] = (64, 128)
@@ -101,12 +102,13 @@ class PathDiffuserConfig(_NetworkConfig):
     squash: float = 0.1
     guidance: float = 0.3
     distilled: bool = False
+    recorded: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not isinstance(self.observer, Observer):
             raise InvalidInputError(f"observer must be a legibility.Observer, got {self.observer}")
-        for name in ("field", "distilled"):
+        for name in ("field", "distilled", "recorded"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidInputError(
                     f"{name} must be true or false, got {getattr(self, name)!r}"
@@ -119,6 +121,16 @@ class PathDiffuserConfig(_NetworkConfig):
         _multiple_of_8("resolution", self.resolution)
         positive("squash", self.squash)
         bounded("guidance", self.guidance, -1e3, 1e3)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As of every network; `recorded` only if it is."""
+        content = super().to_dict()
+        return content if self.recorded else {k: v for k, v in content.items() if k != "recorded"}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Self:
+        """The inverse of `to_dict`."""
+        return super().from_dict({"recorded": False, **content})
 
 
 @dataclass(frozen=True)

@@ -73,20 +73,29 @@ def moved_rest(rest: Rest) -> Array:
     return moved
 
 
+def caught_up(rest: Rest) -> Path:
+    """What is left of the path, moved, for a robot that has gone on a little since it was clear.
+
+    In the direction of motion, unless only the path as it is keeps clear.
+    """
+    plain = moved_rest(rest)[None]
+    paths = np.concatenate([headed(plain, rest.begun.heading), plain])
+    return rest.follow(paths[np.argmax(_free(rest.scene, rest.path.target, paths))])
+
+
 def mended(rest: Rest) -> Parts[Path | None]:
     """What is left of the path, moved and out of contact, its score as it is.
 
     None if it cannot be brought out of contact.
     """
-    path, scene = rest.path, rest.scene
-    paths = headed(moved_rest(rest)[None], rest.begun.heading)
-    if not _free(scene, path.target, paths)[0]:
-        paths, clear = yield from projected(
-            paths, scene, path.target, path.observer, begun=rest.begun
-        )
-        if not (clear[0] or _free(scene, path.target, paths)[0]):
-            return None
-    return rest.follow(paths[0])
+    path = caught_up(rest)
+    scene, target, waypoints = path.scene, path.target, path.waypoints[None]
+    if _free(scene, target, waypoints)[0]:
+        return path
+    paths, clear = yield from projected(waypoints, scene, target, path.observer, begun=rest.begun)
+    if clear[0] or _free(scene, target, paths)[0]:
+        return rest.follow(paths[0])
+    return None
 
 
 def brought(

@@ -147,12 +147,15 @@ class PathSampler:
         archive_of = scene_archive if exact else rough_archive
         meeting = np.arange(len(tasks)) % candidates == 0
         for row, scene, target, observer in tasks.rows():
-            drawn, first = smoothed(paths[row]), meeting[row] & self.config.field
+            # The waves of recorded motions are their style.
+            drawn = paths[row] if self.config.recorded else smoothed(paths[row])
+            first = meeting[row] & self.config.field
             if first.any():
                 archive = archive_of(scene, target, observer)
                 drawn[first], replaced[row][first] = _met(
-                    archive, drawn[first], tasks.levels[row][first], detour_of(observer, max_detour)
-                )
+                    archive, drawn[first], tasks.levels[row][first],
+                    detour_of(observer, max_detour), self.config.recorded,
+                )  # fmt: skip
             if not first.all():
                 own = observer.score(path_curve(paths[row][~first], SCORE_POINTS), scene, target)
                 longest = detour_of(observer, max_detour) * shortest_curve(scene, target)[1]
@@ -231,12 +234,12 @@ def detour_of(observer: Observer, max_detour: float | None) -> float:
 
 
 def _met(
-    archive: Archive, paths: Array, levels: Array, detour: float
+    archive: Archive, paths: Array, levels: Array, detour: float, waves: bool = False
 ) -> tuple[Array, NDArray[np.bool]]:
     """Paths `(B, K + 2, D)` brought to `levels (B,)`, and whether an elite stands in, `(B,)`.
 
-    It does so where the path drawn misses its level, waves or is too long, and an elite near the
-    level, as it is or brought there, is less at fault.
+    It does so where the path drawn misses its level, is too long or, unless it may, `waves`, and an
+    elite near the level, as it is or brought there, is less at fault.
     """
     scene, target, observer = archive.scene, archive.target, archive.observer
     longest = detour * archive.shortest_length
@@ -244,8 +247,8 @@ def _met(
     def fault(paths: Array, levels: Array, turned: Array) -> Array:
         curves = path_curve(paths, SCORE_POINTS)
         missed = archive.label_of(observer.score(curves, scene, target)) - levels
-        waves, excess = turning(curves) - turned, arc_length(curves) / longest - 1
-        return np.stack([np.abs(missed) / _MISSED, waves / _WAVES, excess / _EXCESS]).max(0)
+        excess, more = arc_length(curves) / longest - 1, turning(curves) - turned
+        return np.stack([np.abs(missed) / _MISSED, more / _WAVES, excess / _EXCESS]).max(0)
 
     def free(paths: Array) -> NDArray[np.bool]:
         return least_margin(scene, target, paths) >= -TOUCH * scene.diagonal
@@ -257,7 +260,7 @@ def _met(
         return paths, np.where(clear, fault(paths, levels, turned), np.inf)
 
     asked, which = np.unique(levels, return_inverse=True)
-    turned = np.array([archive.turning_near(level).mean() for level in asked])
+    turned = np.array([np.inf if waves else archive.turning_near(x).mean() for x in asked])
     paths, faults = brought(paths, levels, turned[which])
     replaced = np.zeros(len(paths), dtype=bool)
     for i in np.unique(which[faults > 1]):

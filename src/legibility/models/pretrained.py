@@ -6,11 +6,13 @@ from typing import Any
 
 import torch
 
+from ..checks import did_you_mean
 from ..errors import CheckpointError, InvalidInputError, TrainingError
 from ..files import at_home, file_hash, read_text, write_json
 from .checkpoint import load_state, load_tensors, save_tensors
 from .configuration import GoalPolicyConfig, PathDiffuserConfig, PathPolicyConfig
 from .goal_policy import GoalPolicy
+from .hub import download, hub_name
 from .path_diffuser import PathDiffuser
 from .path_policy import PathPolicy
 from .provenance import TrainingRecord
@@ -27,19 +29,33 @@ _STAGES: dict[str, Any] = {
 _WEIGHTS = Path(__file__).parent.parent / "weights"
 
 
-def pretrained_folder(name_or_folder: str | Path) -> Path:
-    """The folder of the weights: the one that is given, or that of a name that the package knows.
+def pretrained_folder(name_or_folder: str | Path, revision: str | None = None) -> Path:
+    """The folder of the weights, downloaded if they are on the Hugging Face Hub.
+
+    Args:
+        name_or_folder: a name that the package knows, a folder, or a repository on the Hub,
+            `USER/REPOSITORY` or `USER/REPOSITORY@REVISION`. What is here comes first.
+        revision: of a repository, a branch, a tag or a commit; its main branch if not given.
 
     Raises:
-        CheckpointError: there is neither.
+        CheckpointError: there is none of these; `HubError`, if the Hub says so.
+        InvalidInputError: a revision is given of weights that are here.
     """
     names = sorted({name for stage in _STAGES for name in pretrained_names(stage)})
-    if str(name_or_folder) in names:
-        return _WEIGHTS / str(name_or_folder)
-    if (folder := at_home(name_or_folder)).is_dir():
+    name, folder = str(name_or_folder), at_home(name_or_folder)
+    folder = _WEIGHTS / name if name in names else folder
+    if folder.is_dir():
+        if revision is not None:
+            raise InvalidInputError(
+                f"revision is for the Hugging Face Hub, but {name} is here, got {revision!r}"
+            )
         return folder
+    repository = hub_name(name, revision) if isinstance(name_or_folder, str) else None
+    if repository is not None:
+        return download(*repository)
     raise CheckpointError(
-        f"there are no weights {str(name_or_folder)!r}: give a folder or one of {names}"
+        f"there are no weights {name!r}: give a folder, USER/REPOSITORY on the Hugging Face Hub "
+        f"or one of {', '.join(names)}{did_you_mean(name_or_folder, names)}"
     )
 
 

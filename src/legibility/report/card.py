@@ -6,21 +6,12 @@ from typing import Any
 from ..curves import NUM_WAYPOINTS
 from ..errors import InvalidInputError
 from ..evaluation.contest import METHODS
+from ..models.hub import card_head
 from ..models.provenance import TrainingRecord
-from .results import Results, headline_table, well_formed
+from .results import Results, headline_table, model_index, well_formed
 from .sections import threads_of
 from .table import Part, markdown
 
-_HEAD = """\
----
-license: mit
-library_name: legibility
-tags: [robotics, human-robot-interaction, legibility, diffusion{tag}]
----
-
-# {name}
-
-"""
 _PAGE = "the repository's `docs/results.md`"
 
 
@@ -42,17 +33,26 @@ def render_card(name: str, config: dict[str, Any], results: Results) -> str:
                         f"the configuration of {name} does not say how its {stage} was trained"
                     )
                 records[stage] = TrainingRecord.from_dict(entry["training"])
-        parts, tag = (_baseline, ", baseline") if "goal" in records else (_modulator, "")
-        head = _HEAD.format(name=name, tag=tag)
-        return head + markdown(parts(name, config, records, results)) + "\n"
+        is_baseline = "goal" in records
+        parts = (_baseline if is_baseline else _modulator)(name, config, records, results)
+        tags = ["baseline"] if is_baseline else []
+        measured = [] if is_baseline else model_index(_of_card(results, records), name)
+        head = card_head(license="mit", tags=tags, model_index=measured)
+        return f"{head}# {name}\n\n{markdown(parts)}\n"
+
+
+def _of_card(results: Results, records: dict[str, TrainingRecord]) -> Results:
+    """The results that the card of a modulator shows, which are of its stages."""
+    kinds = ["dial", *(["closed-loop", "execution"] if "policy" in records else [])]
+    return {kind: results.get(kind, {}) for kind in kinds}
 
 
 def _modulator(
     name: str, config: dict[str, Any], records: dict[str, TrainingRecord], results: Results
 ) -> list[Part]:
     dials = [f"{name}-{regime}" for regime in ("dragan", "all")]
-    kinds = ["dial", *(["closed-loop", "execution"] if "policy" in records else [])]
-    for kind in kinds:
+    shown = _of_card(results, records)
+    for kind in shown:
         for found in dials if kind == "dial" else [name]:
             _result(results, kind, found, config, records if kind != "dial" else ["path"])
     path, record = config["path"]["config"], records["path"]
@@ -76,7 +76,7 @@ def _modulator(
         *_stage_1(path, record),
         *stage_2,
         "## Metrics",
-        headline_table({kind: results[kind] for kind in kinds}, {name: "value"}),
+        headline_table(shown, {name: "value"}),
         f"All metrics with their intervals are in {_PAGE}.",
         "## Limits",
         "The observer is a model, not a person. Labels are ranks within a scene's archive: the "

@@ -22,6 +22,11 @@ _ARROWS = dict(zip(TESTED, "↑↓", strict=True))
 _SIGNIFICANT = 0.05
 
 
+def _text(name: str) -> str:
+    """A method in a table; one of the user's has its name."""
+    return _TEXTS.get(name, name)
+
+
 def external_section(document: dict[str, Any]) -> list[Part]:
     """Motions by other people's definitions, and the most legible within a bound."""
     methods = document["result"]["methods"]
@@ -74,14 +79,14 @@ def table1_section(document: dict[str, Any]) -> list[Part]:
             _bold_if_better(result, _over(targets[t][m]["mean"], oracle[t][m]), f"{t} {m}", name)
             for t, m in cells
         ]
-        table.add_row(METHODS[name].text, percent(success), *row)
+        table.add_row(_text(name), percent(success), *row)
         rest.add_row(
-            METHODS[name].text,
+            _text(name),
             *(number(sum(t[m]["mean"] for t in targets.values()) / len(targets)) for m in others),
             *(number(times[span], 1) if times else "–" for span in ("plan", "motion")),
         )
         cells_by_others = (sum(t[m]["mean"] for t in targets.values()) / 2 for m in EXTERNAL)
-        others_table.add_row(METHODS[name].text, *map(number, cells_by_others))
+        others_table.add_row(_text(name), *map(number, cells_by_others))
     curve = [_over(oracle[t][m], oracle[t][m]) for t, m in cells]
     table.add_row(f"{METHODS['oracle'].paper}, the curve itself", "–", *curve)
     few, many = result["search"]
@@ -176,7 +181,7 @@ def _beside_paper(result: dict[str, Any]) -> list[Part]:
     ]
     table = Table("method", *heads)
     for name, method in result["methods"].items():
-        if METHODS[name].paper not in paper:
+        if name not in METHODS or METHODS[name].paper not in paper:
             continue
         row = []
         for (letter, metric), key in shown.items():
@@ -204,13 +209,13 @@ def unseen_section(document: dict[str, Any]) -> list[Part]:
             text = f"{ratio['median']:.3f} ({low:.3f} to {high:.3f})"
             ratios.append(_bold_if_better(result, text, metric, name))
         table.add_row(
-            METHODS[name].text,
+            _text(name),
             percent(method["success"]["mean"]),
             *ratios,
             *means(method, ("length_ratio", "achieved"), 3),
             *means(method, ("spearman", "error")),
         )
-        by_others.add_row(METHODS[name].text, *means(method, EXTERNAL, 3))
+        by_others.add_row(_text(name), *means(method, EXTERNAL, 3))
     return [
         f"{scenes_of(document)}, in {result['env']}. L_d and L_p are medians over scenes of "
         f"{config['rollouts']} motions with ℓ = 1, over the oracle; an L_p below "
@@ -237,7 +242,8 @@ def _tests(result: dict[str, Any], cells: list[str], texts: dict[str, str] = _TE
         for name in result["methods"]:
             if ours in result["methods"] and name not in OURS:
                 verdicts = (_verdict(tests[cell, ours, name]) for cell in cells)
-                table.add_row(own, texts[name], *verdicts)
+                other = texts[name] if name in texts else str(name)
+                table.add_row(own, other, *verdicts)
     return table
 
 

@@ -55,7 +55,7 @@ def dial_section(document: dict[str, Any]) -> list[Part]:
     """The metrics of `legibility evaluate dial`, of planned paths or of executed motions."""
     config, result = document["config"], document["result"]
     overall = result["overall"]
-    modes = [mode for mode in MODES if mode in overall]
+    modes = [mode for mode in (*MODES, *config.get("method", ())) if mode in overall]
     if config["closed_loop"]:
         how = f"Stage 2 executes every path in {result['env']}, to within 2 cm of the target."
     else:

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,8 +94,8 @@ def section_of(kind: str, name: str, document: Document) -> list[Part]:
         return KINDS[kind].section(document)
 
 
-def render_page(results: Results, pictures: str) -> str:
-    """All results as one page of Markdown; `pictures` is their folder, relative to the page.
+def render_page(results: Results, pictures: str | None) -> str:
+    """All results as one page of Markdown; `pictures` is their folder, if any, as it is linked.
 
     Raises:
         InvalidInputError: a file holds something else than its name says.
@@ -118,7 +119,7 @@ def render_page(results: Results, pictures: str) -> str:
             parts.append(f"## {title}")
         for name, document in results.get(kind, {}).items():
             parts += [f"### {title}: {name}", markdown(section_of(kind, name, document))]
-            if picture:
+            if picture and pictures is not None:
                 parts.append(f"![{picture}]({pictures}/{kind}-{name}.png)")
             parts.append(f"Measured by `{document['command']}`.")
     return "\n\n".join(parts) + "\n"
@@ -133,6 +134,73 @@ def by_model(results: Results) -> dict[str, dict[str, Document]]:
     return found
 
 
+class Metric(NamedTuple):
+    """A metric to read first.
+
+    Attributes:
+        text: its name, in a table below the metrics before it.
+        identifier: its key in `NAMES`.
+        kind: of the result that has it.
+        regime: in which the name of that result ends, if in any.
+        value: from the content of that result.
+        share: whether it is shown in percent.
+    """
+
+    text: str
+    identifier: str
+    kind: str
+    regime: str
+    value: Callable[[Any], float]
+    share: bool = False
+
+    def document(self, results: Results, model: str) -> Document | None:
+        """The result of a model that has the metric, if there is one."""
+        name = f"{model}-{self.regime}" if self.regime else model
+        return results.get(self.kind, {}).get(name)
+
+
+NAMES = {
+    "spearmanr": "Spearman correlation of asked and achieved ℓ",
+    "mae": "mean absolute error of ℓ",
+    "mae_exact": "mean absolute error of ℓ, exact",
+    "achieved_at_1": "achieved ℓ when asked 1",
+    "achieved_at_-1": "achieved ℓ when asked −1",
+    "feasible": "share of paths that touch nothing",
+    "success": "success of executed motions",
+}
+"""Names of metrics by the identifiers that model cards have on the Hugging Face Hub."""
+
+
+def _mean(metric: str, mode: str = "quick") -> Callable[[Any], float]:
+    return lambda result: sound(result)[mode][metric]["mean"]
+
+
+def _success(result: Any) -> float:
+    return result["rows"]["policy"]["success"]["mean"]
+
+
+_ANYWHERE = "any room, any observer, obstacles"
+
+HEADLINE = (
+    Metric(NAMES["spearmanr"], "spearmanr", "dial", "dragan", _mean("spearman")),
+    Metric(NAMES["mae"], "mae", "dial", "dragan", _mean("error")),
+    Metric("the same, exact", "mae_exact", "dial", "dragan", _mean("error", "exact")),
+    Metric(NAMES["achieved_at_1"], "achieved_at_1", "dial", "dragan", _mean("at_1")),
+    Metric(NAMES["achieved_at_-1"], "achieved_at_-1", "dial", "dragan", _mean("at_-1")),
+    Metric(f"{_ANYWHERE}: Spearman correlation", "spearmanr", "dial", "all", _mean("spearman")),
+    Metric(f"{_ANYWHERE}: mean absolute error", "mae", "dial", "all", _mean("error")),
+    Metric(f"{_ANYWHERE}: the same, exact", "mae_exact", "dial", "all", _mean("error", "exact")),
+    Metric(
+        f"{_ANYWHERE}: share of paths that touch nothing", "feasible", "dial", "all",
+        lambda result: result["overall"]["quick"]["feasible"]["mean"], True,
+    ),
+    Metric("error of ℓ of the executed motion", "mae", "closed-loop", "", _mean("error")),
+    Metric(NAMES["success"], "success", "execution", "", _success, True),
+    Metric("the same, past obstacles", "success", "execution", "obstacles", _success, True),
+)  # fmt: skip
+"""The few metrics to read first, in their order."""
+
+
 def headline_table(results: Results, models: dict[str, str] | None = None) -> Table:
     """The few metrics to read first, of shipped weights or of `models`, with their heads by name.
 
@@ -140,39 +208,13 @@ def headline_table(results: Results, models: dict[str, str] | None = None) -> Ta
     """
     models = models or {"block-reach-2d": "2-D", "panda-block-reach": "Panda"}
     table = Table("metric", *models.values())
-
-    def add(text: str, kind: str, cell: Callable[[Any], str], regime: str = "") -> None:
-        documents = results.get(kind, {})
-        names = [f"{model}-{regime}" if regime else model for model in models]
-        if documents.keys() & set(names):
-            cells = (cell(documents[n]["result"]) if n in documents else "–" for n in names)
-            table.add_row(text, *cells)
-
-    def mean(metric: str, mode: str = "quick") -> Callable[[Any], str]:
-        return lambda result: number(sound(result)[mode][metric]["mean"], 4)
-
     with well_formed("a result is not what `legibility` writes"):
-        add("Spearman correlation of asked and achieved ℓ", "dial", mean("spearman"), "dragan")
-        add("mean absolute error of ℓ", "dial", mean("error"), "dragan")
-        add("the same, exact", "dial", mean("error", "exact"), "dragan")
-        add("achieved ℓ when asked 1", "dial", mean("at_1"), "dragan")
-        add("achieved ℓ when asked −1", "dial", mean("at_-1"), "dragan")
-        text = "any room, any observer, obstacles"
-        add(f"{text}: Spearman correlation", "dial", mean("spearman"), "all")
-        add(f"{text}: mean absolute error", "dial", mean("error"), "all")
-        add(f"{text}: the same, exact", "dial", mean("error", "exact"), "all")
-        add(
-            f"{text}: share of paths that touch nothing",
-            "dial",
-            lambda result: percent(result["overall"]["quick"]["feasible"]["mean"]),
-            "all",
-        )
-        add("error of ℓ of the executed motion", "closed-loop", mean("error"))
-        success: Callable[[Any], str] = lambda result: percent(  # noqa: E731
-            result["rows"]["policy"]["success"]["mean"]
-        )
-        add("success of executed motions", "execution", success)
-        add("the same, past obstacles", "execution", success, "obstacles")
+        for metric in HEADLINE:
+            documents = [metric.document(results, model) for model in models]
+            values = [None if d is None else metric.value(d["result"]) for d in documents]
+            if any(value is not None for value in values):
+                shown = percent if metric.share else partial(number, digits=4)
+                table.add_row(metric.text, *("–" if v is None else shown(v) for v in values))
         bench = results.get("bench", {}).get("cpu", {"result": {"measurements": []}})
         plans = {
             (row["model"], row["backend"]): three_digits(row["median"])
@@ -184,6 +226,32 @@ def headline_table(results: Results, models: dict[str, str] | None = None) -> Ta
             shown = map(" / ".join, cells)
             table.add_row("one plan on one core, PyTorch / ONNX [ms]", *shown)
     return table
+
+
+def model_index(results: Results, name: str) -> list[dict[str, Any]]:
+    """The headline metrics of the weights `name` as the metadata of a model card has them.
+
+    The form is that of the Hugging Face Hub, `model-index`, which it shows beside the card.
+    """
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    with well_formed("a result is not what `legibility` writes"):
+        for metric in HEADLINE:
+            if (document := metric.document(results, name)) is None:
+                continue
+            config = document["config"]
+            scenes = f"{config['scenes']} held-out random scenes (seed {document['seed']})"
+            entry = found.setdefault(
+                (metric.kind, metric.regime),
+                {
+                    "task": {"type": "robotics", "name": KINDS[metric.kind].title},
+                    "dataset": {"type": "legibility", "name": scenes, "config": config["regime"]},
+                    "metrics": [],
+                },
+            )
+            value = round(float(metric.value(document["result"])), 4)
+            text = NAMES[metric.identifier]
+            entry["metrics"].append({"type": metric.identifier, "value": value, "name": text})
+    return [{"name": name, "results": list(found.values())}]
 
 
 @contextlib.contextmanager

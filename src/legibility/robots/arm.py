@@ -15,11 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, finite_array, positive
+from ..checks import Array, did_you_mean, finite_array, positive
 from ..curves import arc_length, resample
 from ..errors import InvalidInputError
 from ..files import at_home, read_document
 from ..obstacles import Obstacle
+from . import ARM_NAMES
 from . import model as models
 from .kinematics import Kinematics
 from .limits import Limits
@@ -168,6 +169,7 @@ class Arm:
             return cls.load(name)
         raise InvalidInputError(
             f"arm must be one of {', '.join(ARMS)}, or a YAML or JSON file, got {name!r}"
+            f"{did_you_mean(name, ARM_NAMES)}"
         )
 
     @property
@@ -357,5 +359,5 @@ PANDA = Arm(
 )  # fmt: skip
 """The Franka Panda with its hand, behind the table of the paper."""
 
-ARMS = {"panda": PANDA}
+ARMS = dict(zip(ARM_NAMES, (PANDA,), strict=True))
 """The arms that the package knows by name."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import Array, finite_array
+from ..checks import Array, finite_array, one_of
 from ..errors import InvalidInputError
 
 
@@ -69,9 +69,7 @@ class Limits:
         Raises:
             InvalidInputError: there are none of that name.
         """
-        if name not in LIMITS:
-            raise InvalidInputError(f"limits must be one of {', '.join(LIMITS)}, got {name!r}")
-        return LIMITS[name]
+        return LIMITS[one_of("limits", name, LIMITS)]
 
     @property
     def joints(self) -> int:

@@ -6,7 +6,13 @@ from functools import partial
 from ..checks import bounded, count, positive, random_seed
 from ..errors import InvalidInputError
 
-FIXED_BY_DATA = ("dim", "observer")
+DEVICES = ("cpu", "cuda")
+"""The devices that are named most; PyTorch knows others, such as cuda:1."""
+
+PRECISIONS = ("no", "bf16", "fp16")
+"""Of the products of a network in training; `no` is float32, mixed with nothing."""
+
+FIXED_BY_DATA = ("dim", "observer", "recorded")
 """Settings of stage 1 that follow from its data."""
 
 

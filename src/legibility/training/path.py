@@ -23,7 +23,7 @@ from ..models.configuration import PathDiffuserConfig
 from ..models.diffusion import noised, sampling_timesteps
 from ..models.path_diffuser import DIAL_LEVELS, PathDiffuser, dial_of
 from ..models.provenance import Source, TeacherRecord
-from .configuration import FIXED_BY_DATA, DistillationConfig, PathTrainingConfig
+from .configuration import DistillationConfig, PathTrainingConfig
 from .loop import Run, Trained, new_model, train
 from .scorer import FrameScorer
 from .team import Team
@@ -211,7 +211,8 @@ def train_path(
         CheckpointError: see `train`.
     """
     config = config or PathTrainingConfig()
-    settings |= {name: getattr(data.config, name) for name in FIXED_BY_DATA}
+    settings |= {name: getattr(data.config, name) for name in ("dim", "observer")}
+    settings["recorded"] = bool(data.config.recordings)
     model = new_model(PathDiffuser, PathDiffuserConfig(**settings), config.seed)
     check_data(model.config, data, validation)
     model.to(run.team.device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -12,9 +13,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..checks import one_of
 from ..errors import InvalidInputError
+from .configuration import PRECISIONS
 
-_DTYPES = {"no": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
+_LOG = logging.getLogger(__name__)
+
+_DTYPES: dict[str, torch.dtype] = dict(
+    zip(PRECISIONS, (torch.float32, torch.bfloat16, torch.float16), strict=True)
+)
 
 _LAUNCHED = ("ACCELERATE_MIXED_PRECISION", "LOCAL_RANK")
 """Environment variables set by `accelerate launch` and by `torchrun`."""
@@ -52,14 +59,13 @@ class Team:
         joined = _accelerator(device, precision)
         if joined is not None:
             precision = str(joined.mixed_precision)
-        if precision not in (None, *_DTYPES):
-            raise InvalidInputError(
-                f"precision must be one of {', '.join(_DTYPES)}, got {precision!r}"
-            )
-        if joined is None:
-            return cls(choose_device(device), precision=precision or "no")
-        where = joined.device if device is None else choose_device(device)
-        return cls(where, joined.process_index, joined.num_processes, precision or "no", joined)
+        if precision is not None:
+            one_of("precision", precision, PRECISIONS)
+        where = joined.device if joined and device is None else choose_device(device)
+        rank, size = (joined.process_index, joined.num_processes) if joined else (0, 1)
+        precision = precision or "no"
+        _LOG.info("process %d of %d, on %s, precision %s", rank + 1, size, where, precision)
+        return cls(where, rank, size, precision, joined)
 
     @property
     def main(self) -> bool:
@@ -106,9 +112,14 @@ class Team:
             self.accelerator.end_training()
 
 
+def launched() -> bool:
+    """Whether `accelerate launch` or `torchrun` started this process."""
+    return any(name in os.environ for name in _LAUNCHED)
+
+
 def _accelerator(device: str | None, precision: str | None) -> Any:
     """That of the package accelerate, or None if no launcher started this process."""
-    if not any(name in os.environ for name in _LAUNCHED):
+    if not launched():
         return None
     from accelerate import Accelerator
 

@@ -1,12 +1,18 @@
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from legibility import Scene
-from legibility.cli.trajectories import read_trajectories, write_trajectories
+from legibility.data.recordings import read_recordings, write_trajectories
 from legibility.errors import InvalidInputError
 
 PLANE = Scene([0, 0.5], [[0.8, 0.6], [1, 0.3]])
 SOLID = Scene([-0.2, -0.2, 0.3], [[0, 0.1, 0.02], [0, -0.1, 0.02]])
+
+
+def curves(file, scene, **options):
+    return {r.name: r.positions for r in read_recordings(file, scene.dim, **options)}
 
 
 @pytest.mark.parametrize("scene", [PLANE, SOLID], ids=["2D", "3D"])
@@ -14,7 +20,7 @@ def test_round_trip(scene, tmp_path):
     rng = np.random.default_rng(0)
     trajectories = rng.uniform(*scene.workspace, (3, 7, scene.dim))
     write_trajectories(tmp_path / "t.csv", ["-1", "a, b", "-1"], trajectories)
-    found = read_trajectories(tmp_path / "t.csv", scene)
+    found = curves(tmp_path / "t.csv", scene)
     assert list(found) == ["-1", "a, b", "-1 (2)"]
     np.testing.assert_array_equal(list(found.values()), trajectories)
 
@@ -25,27 +31,30 @@ def test_anybodys_file(tmp_path):
     file.write_bytes(
         '\ufeffTrajectory, Y ,X\r\n"b",.5,0\r\n\r\na,0.1,0.2\r\nb,6e-1,.8\r\na,0.3,0.4\r\n'.encode()
     )
-    found = read_trajectories(file, PLANE)
+    found = curves(file, PLANE)
     assert {name: points.tolist() for name, points in found.items()} == {
         "b": [[0, 0.5], [0.8, 0.6]],
         "a": [[0.2, 0.1], [0.4, 0.3]],
     }
 
 
-@pytest.mark.parametrize("name", ["t", "time"])
-def test_uneven_times_are_made_even(name, tmp_path):
+@pytest.mark.parametrize("name", ["t", "time", "T [s]"])
+def test_times(name, tmp_path):
     file = tmp_path / "t.csv"
     file.write_text(f"{name},x,y\n0,0,0\n1,0.1,1\n4,0.4,0\n")
-    np.testing.assert_allclose(
-        read_trajectories(file, PLANE)["1"], [[0, 0], [0.2, 2 / 3], [0.4, 0]], atol=1e-12
-    )
+    (recording,) = read_recordings(file, 2)
+    np.testing.assert_array_equal(recording.times, [0, 1, 4])
+    np.testing.assert_array_equal(recording.positions, [[0, 0], [0.1, 1], [0.4, 0]])
 
 
-def test_even_times_change_nothing(tmp_path):
+def test_targets_and_scenes(tmp_path):
     file = tmp_path / "t.csv"
-    file.write_text("t,x,y\n0.1,0,0\n0.2,0.3,1\n0.30000000000000004,0.4,0\n")
-    found = read_trajectories(file, PLANE)["1"]
-    np.testing.assert_array_equal(found, [[0, 0], [0.3, 1], [0.4, 0]])
+    file.write_text(
+        "trajectory,scene,target,x,y\na,lab,1,0,0\nb,hall,0.0,0,0\na,lab,1,1,1\nb,hall,0,1,1\n"
+    )
+    first, second = read_recordings(file, 2)
+    assert (first.name, first.scene, first.target) == ("a", "lab", 1)
+    assert (second.name, second.scene, second.target) == ("b", "hall", 0)
 
 
 def frame(**options):
@@ -70,20 +79,57 @@ OTHERS = {
 
 
 @pytest.mark.parametrize(("content", "left_out"), OTHERS.values(), ids=OTHERS)
-def test_files_of_other_programs(content, left_out, tmp_path, capsys):
-    file = tmp_path / "t.csv"
+def test_files_of_other_programs(content, left_out, tmp_path):
+    file, notes = tmp_path / "t.csv", []
     file.write_bytes(content.encode())
-    np.testing.assert_array_equal(read_trajectories(file, PLANE)["1"], [[0.1, 0.2], [0.3, 0.4]])
-    expected = f"legibility: {file}: columns left out: {left_out}\n" if left_out else ""
-    assert capsys.readouterr().err == expected
+    found = curves(file, PLANE, note=notes.append)
+    np.testing.assert_array_equal(found["1"], [[0.1, 0.2], [0.3, 0.4]])
+    assert notes == ([f"{file}: columns left out: {left_out}"] if left_out else [])
 
 
-def test_an_arm_that_overshoots_a_wall_is_read(tmp_path):
-    file = tmp_path / "t.csv"
-    file.write_text("x,y,z\n0.105,0,0.1\n0,0,0.015\n")
-    np.testing.assert_array_equal(
-        read_trajectories(file, SOLID)["1"], [[0.105, 0, 0.1], [0, 0, 0.015]]
-    )
+@pytest.mark.parametrize("scene", [PLANE, SOLID], ids=["2D", "3D"])
+def test_parquet(scene, tmp_path):
+    """The same recordings as of a CSV file, to the last bit, whatever the columns' types."""
+    rng, count = np.random.default_rng(0), 5
+    table = {
+        "Trajectory": pa.array(np.repeat([3, 4], count)),
+        "target": pa.array(np.repeat([1, 0], count), pa.int8()),
+        "t [s]": pa.array(np.tile(np.arange(count, dtype=np.float32), 2)),
+        "note": pa.array([None] * 2 * count),
+        **{axis: rng.random(2 * count) for axis in "xyz"[: scene.dim]},
+    }
+    pq.write_table(pa.table(table), tmp_path / "r.parquet")
+    notes = []
+    found = read_recordings(tmp_path / "r.parquet", scene.dim, notes.append)
+    assert [r.name for r in found] == ["3", "4"]
+    assert [r.target for r in found] == [1, 0]
+    assert "columns left out: note" in notes[0]
+    for recording, rows in zip(found, (slice(count), slice(count, None)), strict=True):
+        wanted = np.stack([table[axis][rows] for axis in "xyz"[: scene.dim]], axis=-1)
+        np.testing.assert_array_equal(recording.positions, wanted)
+        np.testing.assert_array_equal(recording.times, np.arange(count))
+
+
+BAD_PARQUET = {
+    "a gap": ({"x": [0.1, None], "y": [0.2, 0.3]}, "row 1: x must be a number, got ''"),
+    "NaN": ({"x": [0.1, 0.2], "y": [np.nan, 0.3]}, "row 0: y must be finite, got nan"),
+    "no y": ({"x": [0.1, 0.2]}, "columns x, y are needed, got x"),
+    "no rows": ({"x": pa.array([], pa.float64()), "y": pa.array([], pa.float64())}, "no points"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_PARQUET.values(), ids=BAD_PARQUET)
+def test_bad_parquet(content, message, tmp_path):
+    pq.write_table(pa.table(content), tmp_path / "r.parquet")
+    with pytest.raises(InvalidInputError, match=message):
+        read_recordings(tmp_path / "r.parquet", 2)
+
+
+def test_no_parquet(tmp_path):
+    (tmp_path / "r.parquet").write_text("x,y\n0,0\n1,1\n")
+    for name in ("r.parquet", "none.parquet"):
+        with pytest.raises(InvalidInputError, match="cannot read the trajectory file"):
+            read_recordings(tmp_path / name, 2)
 
 
 BAD = {
@@ -115,7 +161,13 @@ BAD = {
     "one point": ("x,y\n0,0\n", "line 2: trajectory '1' must have at least 2 points"),
     "one point of two": ("trajectory,x,y\na,0,0\na,1,1\nb,1,1\n", "line 4: trajectory 'b' must"),
     "no name": ("trajectory,x,y\na,0,0\n,1,1\n", "line 3: the trajectory has no name"),
-    "outside": ("x,y\n0,0\n1,5\n", r"line 3: \[1.0, 5.0\] lies outside the workspace"),
+    "minutes": ("x,y,t [min]\n0,0,0\n1,1,1\n", r"line 1: t must be in seconds, got t \[min\]"),
+    "target is text": ("x,y,target\n0,0,a\n1,1,a\n", "line 2: target must be the index .*'a'"),
+    "half a target": ("x,y,target\n0,0,.5\n1,1,.5\n", "line 2: target must be the index"),
+    "negative target": ("x,y,target\n0,0,-1\n1,1,-1\n", "line 2: target must be the index"),
+    "mixed targets": ("x,y,target\n0,0,0\n1,1,1\n", "line 3: target must be the same .* 1 after 0"),
+    "mixed scenes": ("x,y,scene\n0,0,a\n1,1,b\n", "line 3: scene must be the same .* b after a"),
+    "no scene": ("x,y,scene\n0,0,\n1,1,a\n", "line 2: the scene has no name"),
     "time stands": ("x,y,t\n0,0,0\n1,1,0\n", "line 3: t must rise, got 0"),
     "time is text": ("x,y,t\n0,0,0\n1,1,now\n", "line 3: t must be a number"),
     "open quote": ('x,y\n0,0\n1,"1\n', "line 3: unexpected end of data"),
@@ -128,15 +180,15 @@ def test_bad_file(content, message, tmp_path):
     file = tmp_path / "t.csv"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InvalidInputError, match=message):
-        read_trajectories(file, PLANE)
+        curves(file, PLANE)
 
 
 def test_flat_file_for_a_solid_scene(tmp_path):
     (tmp_path / "t.csv").write_text("x,y\n0,0\n0,0.1\n")
     with pytest.raises(InvalidInputError, match="the scene is 3D: columns x, y, z are needed"):
-        read_trajectories(tmp_path / "t.csv", SOLID)
+        curves(tmp_path / "t.csv", SOLID)
 
 
 def test_no_file(tmp_path):
     with pytest.raises(InvalidInputError, match="cannot read the trajectory file"):
-        read_trajectories(tmp_path / "t.csv", PLANE)
+        curves(tmp_path / "t.csv", PLANE)
