@@ -7,6 +7,9 @@ browsers show without a script.
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
 import re
 import sys
 
@@ -18,7 +21,8 @@ from sphinx.util.typing import stringify_annotation
 
 import legibility
 from legibility.checks import Array
-from legibility.cli import verbs
+from legibility.cli import main
+from legibility.cli.verbs import VERBS
 
 project = "Legibility Modulator"
 author = copyright = "Legibility Modulator contributors"
@@ -59,11 +63,14 @@ for _name in ("metrics", "labels"):
     sys.modules[f"legibility.{_name}"] = getattr(legibility, _name)
 
 
-def help_of_verbs() -> str:
+def verbs() -> str:
     """The help of every verb, as Markdown."""
     parts = []
-    for verb in verbs.VERBS:
-        text = re.sub(r"^ *-+ *\n", "", verbs.help_of(verb), flags=re.MULTILINE)
+    for verb in VERBS:
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown):
+            main([*verb.split(), "--help"])
+        text = re.sub(r"^ *-+ *\n", "", shown.getvalue(), flags=re.MULTILINE)
         parts += [f"## legibility {verb}", f"```text\n{text.strip()}\n```"]
     return "\n\n".join(parts)
 
@@ -71,7 +78,8 @@ def help_of_verbs() -> str:
 def fill_in_verbs(app, docname: str, source: list[str]) -> None:
     """Put the help of the verbs into the page that asks for it."""
     if docname == "command-line":
-        source[0] = source[0].replace("<!-- verbs -->", help_of_verbs())
+        os.environ["COLUMNS"] = "88"
+        source[0] = source[0].replace("<!-- verbs -->", verbs())
 
 
 def headings_as_rubrics(app, what, name, obj, options, lines: list[str]) -> None:
@@ -103,7 +111,7 @@ def link_code(app, doctree: nodes.document, docname: str) -> None:
         name, call, _ = node.astext().partition("(")
         if call and not re.search(r"[._]", name):  # `Box(…)` may be somebody else's
             continue
-        if (entry := named.get(name.removeprefix("lg."))) is not None:
+        if (entry := named.get(re.sub(r"^(lg|legibility)\.", "", name))) is not None:
             link = nodes.reference("", "", internal=True, reftitle=entry[0])
             link["refuri"] = app.builder.get_relative_uri(docname, entry[1]) + "#" + entry[2]
             node.replace_self(link)

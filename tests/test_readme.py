@@ -33,7 +33,7 @@ def commands(block):
     """The commands `legibility …` of a block."""
     lines = block.replace("\\\n", "")
     calls = re.findall(r"^(?:.* -m )?(legibility [^#'\n]+)", lines, re.MULTILINE)
-    return [call.strip() for call in calls]
+    return list(dict.fromkeys(call.strip() for call in calls))
 
 
 def pages(*languages):

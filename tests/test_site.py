@@ -10,7 +10,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import legibility
-from legibility.cli import _VERBS
+from legibility.cli.verbs import VERBS
 
 pytest.importorskip("furo", reason="the extra docs is not installed")
 
@@ -62,7 +62,7 @@ def test_every_public_name_is_described(pages):
 
 def test_every_verb_is_described(pages):
     page = _page(pages, "command-line")
-    for verb in _VERBS:
+    for verb in VERBS:
         assert f'id="legibility-{verb.replace(" ", "-")}"' in page, verb
 
 
