@@ -258,7 +258,10 @@ class TestTable1:
         """The same robots and seeds: a planner of the straight line is the straight line."""
         config, result = table1
         planner, policy = (result["methods"][name]["targets"] for name in config.method)
-        assert planner == result["methods"]["straight line"]["targets"]
+        for letter, straight in result["methods"]["straight line"]["targets"].items():
+            for metric in METRICS | EXTERNAL:
+                mean = planner[letter][metric]["mean"]
+                assert mean == pytest.approx(straight[metric]["mean"], rel=1e-6, abs=1e-9)
         for letter, own in policy.items():
             assert own["success"]["mean"] == 1
             assert own["length_ratio"]["mean"] == pytest.approx(1, abs=0.01)
@@ -292,8 +295,9 @@ def test_unseen(modulator, policies, own):
         for metric in ("distance_score", "potential_cost"):
             assert len(method["ratio"][metric]["values"]) == 3
     straight = result["methods"]["straight line"]
-    for metric in (*METRICS, *EXTERNAL, "ratio"):
-        assert result["methods"][own[0]][metric] == straight[metric]
+    for metric in (*METRICS, *EXTERNAL):
+        mean = result["methods"][own[0]][metric]["mean"]
+        assert mean == pytest.approx(straight[metric]["mean"], rel=1e-6)
     assert result["methods"][own[0]]["error"]["mean"] == pytest.approx(2 / 3, abs=0.1)
     oracle = result["methods"]["oracle"]
     assert oracle["error"]["mean"] < 0.1
