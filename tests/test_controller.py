@@ -176,7 +176,7 @@ class TestReplanning:
         assert controller.motion().path.legibility == 0.4
 
     def test_a_slider_turned_in_each_step(self, flat):
-        controller = flat.controller(SCENE, 0, 1.0)
+        controller = flat.controller(SCENE, 0, 1.0, budget=None)
 
         def turn(step, position):
             if step < 6:
@@ -191,7 +191,7 @@ class TestReplanning:
         errors, replans = [], []
         for seed in range(6):
             scene = lg.Scene.random(np.random.default_rng(seed))
-            controller = flat.controller(scene, 0, 0.5)
+            controller = flat.controller(scene, 0, 0.5, budget=None)
             push = 0.1 * np.array([np.cos(seed), np.sin(seed)])
 
             def disturb(step, position, push=push, scene=scene):
@@ -213,14 +213,14 @@ class TestReplanning:
             "trembles": lambda step: moved([0.8 + 1e-6 * (step % 2), 0.6]),
         }
         for name, scene_of in ways.items():
-            controller = flat.controller(SCENE, 0, 0.5)
+            controller = flat.controller(SCENE, 0, 0.5, budget=None)
             drive(controller, scene_of)
             assert controller.done, name
             assert np.linalg.norm(controller.states[-1] - controller.scene.goals[0]) <= 0.021
             assert bool(controller.replans) == (name in ("moves", "drifts"))
 
     def test_an_obstacle_on_the_path(self, flat):
-        controller = flat.controller(SCENE, 0, 0.0)
+        controller = flat.controller(SCENE, 0, 0.0, budget=None)
         solid = lg.Ball([0.5, 0.56], 0.08)
         drive(controller, lambda step: SCENE if step < 8 else moved([0.8, 0.6], obstacles=[solid]))
         assert controller.done
@@ -230,7 +230,7 @@ class TestReplanning:
     def test_no_way_and_then_one(self, flat):
         """A hand over the target, which goes away."""
         hand = moved([0.8, 0.6], obstacles=[lg.Ball([0.8, 0.6], 0.06)])
-        controller, problems = flat.controller(SCENE, 0, 0.0), []
+        controller, problems = flat.controller(SCENE, 0, 0.0, budget=None), []
 
         def scene_of(step):
             problems.append(controller.problem)
@@ -249,7 +249,7 @@ class TestEnds:
         """In two seconds, or in ten and less if the scene always moves, so that plans are made."""
         trembling = lambda step: moved([0.8 + 0.01 * (step % 2), 0.6])  # noqa: E731
         for scene_of, most in ((lambda step: None, 45), (trembling, 205)):
-            controller = flat.controller(SCENE)
+            controller = flat.controller(SCENE, budget=0)
             drive(controller, scene_of, gain=0)
             assert controller.stalled
             assert 38 <= len(controller.states) <= most
@@ -529,7 +529,7 @@ class TestArm:
         from legibility.robots.arm import PANDA
 
         for scene_of in (lambda step: self.SOLID, lambda step: (self.FREE, self.SOLID)[step > 4]):
-            controller = models[3].controller(scene_of(0), 0, 0.0, arm="panda")
+            controller = models[3].controller(scene_of(0), 0, 0.0, arm="panda", budget=None)
             drive(controller, scene_of)
             poses = PANDA.postures(controller.states)
             assert PANDA.obstacle_gaps((self.BESIDE,), poses).min() > 0
