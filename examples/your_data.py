@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 import legibility as lg
+from legibility.curves import resample
 
 MOTIONS = 20  # in each scene
 
@@ -31,7 +32,7 @@ def swinging_reach(scene, rng):
 
 def swing(trajectories):
     """Amplitude of the third wave across the straight line, over its length, `(N,)`."""
-    points = np.reshape(trajectories, (-1, *np.shape(trajectories)[-2:]))
+    points = np.stack([resample(np.asarray(trajectory), 50) for trajectory in trajectories])
     along = points[:, -1] - points[:, 0]
     offset = points - points[:, :1]
     across = along[:, None, 0] * offset[..., 1] - along[:, None, 1] * offset[..., 0]
@@ -68,15 +69,19 @@ def main(folder="out/your-data", steps=2000, number=20):
         subprocess.run(command, cwd=folder, check=True)
 
     modulator = lg.Modulator.from_pretrained(folder / "weights")
-    scene = scenes["scene 0"]
-    path = modulator.plan(scene, legibility=np.linspace(-1, 1, 9), seed=0)
-    archive = lg.build_archive(scene)
-    shown = lg.read_recordings(folder / "recordings.csv", dim=2)[:MOTIONS]
-    print("swing of the recordings:", np.mean([swing(r.motion) for r in shown]).round(3))
-    print("         of the plans:  ", swing(path.trajectory()).mean().round(3))
-    print("         of the archive:", swing(archive.trajectories).mean().round(3))
-    print("asked   ", path.legibility.round(2))
-    print("achieved", path.achieved.round(2))
+    recordings = lg.read_recordings(folder / "recordings.csv", dim=2)
+    for name, scene in list(scenes.items())[:3]:
+        shown = [recording for recording in recordings if recording.scene == name]
+        labels = [score.achieved for score in lg.score(shown, scene)]
+        levels = np.quantile(labels, np.linspace(0.1, 0.9, 9))  # where there are recordings
+        path = modulator.plan(scene, legibility=levels, seed=0)
+        print(name)
+        print("  asked   ", levels.round(2))
+        print("  achieved", path.achieved.round(2))
+        archive = lg.build_archive(scene).trajectories
+        swings = [np.median(swing(x)) for x in ([r.motion for r in shown], path.trajectory())]
+        print("  swing of the recordings, the plans, the archive:", end=" ")
+        print(np.round([*swings, np.median(swing(archive))], 3))
     env = gymnasium.make("legibility/BlockReach2D-v0")
     env.reset(seed=0, options={"scene": scene, "target": 0})
     rollout = modulator.execute(env, legibility=1.0, seed=0)

@@ -42,7 +42,6 @@ _Demonstrations = flags(DemonstrationsConfig)
 _SCENES = str(DatasetConfig.scenes)
 _Format = Annotated[str | None, choices(FORMATS)]
 _BINS = 20
-_NEAR = 0.1
 _BAR = 40
 
 
@@ -238,8 +237,10 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
 
 
 def _dial_coverage(labels: np.ndarray) -> dict[str, float]:
-    """Share of 41 levels of ℓ from −1 to 1 with a label within 0.1, over the rows `(S, N)`."""
-    near = [np.abs(labels - level).min(-1) <= _NEAR for level in np.linspace(-1, 1, 41)]
+    """Share of 41 levels of ℓ from −1 to 1 with a label near (`NEAR`), over the rows `(S, N)`."""
+    from ..data.dataset import NEAR
+
+    near = [np.abs(labels - level).min(-1) <= NEAR for level in np.linspace(-1, 1, 41)]
     shares = np.mean(near, axis=0)
     return {"mean": shares.mean(), "min": shares.min()}
 
@@ -263,7 +264,7 @@ def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list
     facts.add_row("elites a scene", f"{elites['mean']:.0f} (least {elites['min']})")
     facts.add_row("coverage", f"{coverage['mean']:.3f} (least {coverage['min']:.3f})")
     covered = result["dial_coverage"]
-    shown = f"{covered['mean']:.0%} of ℓ within {_NEAR:g} (least of a scene {covered['min']:.0%})"
+    shown = f"{covered['mean']:.0%} of ℓ (least of a scene {covered['min']:.0%})"
     facts.add_row("dial covered", shown)
     facts.add_row("size", f"{result['bytes'] / 1e6:.3g} MB")
     facts.add_row("sha256", result["sha256"])

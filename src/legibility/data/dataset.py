@@ -37,7 +37,9 @@ LABEL_KNOTS = np.linspace(-1, 1, 65)
 """Labels at which a scene's scores are stored, from which a label is read off a score."""
 
 _MANIFEST = "manifest.json"
-_NEAR = 0.05  # of a label, within which recorded motions leave no gap on the dial
+
+NEAR = 0.1
+"""Distance of ℓ within which trajectories leave no gap on the dial."""
 
 
 def paths_of(archive: Archive) -> Array:
@@ -165,13 +167,13 @@ def _mixed(
 
 
 def _gaps(labels: Array, most: int) -> Array:
-    """Levels from −1 to 1, rising, over `_NEAR` from `labels` and each other: the farthest first.
+    """Levels from −1 to 1, rising, over `NEAR` from `labels` and each other: the farthest first.
 
     At most as many as asked for.
     """
     levels, found = np.linspace(-1, 1, 201), []
     apart = np.abs(levels - labels[:, None]).min(0)
-    while len(found) < most and apart.max() > _NEAR:
+    while len(found) < most and apart.max() > NEAR:
         found.append(levels[np.argmax(apart)])
         apart = np.minimum(apart, np.abs(levels - found[-1]))
     return np.sort(found)
