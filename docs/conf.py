@@ -17,6 +17,7 @@ from docutils import nodes
 from docutils.utils.math import latex2mathml
 from numpy.typing import ArrayLike
 from sphinx import addnodes
+from sphinx.ext.napoleon.docstring import GoogleDocstring
 from sphinx.util.typing import stringify_annotation
 
 import legibility
@@ -63,6 +64,14 @@ for _name in ("metrics", "labels"):
     sys.modules[f"legibility.{_name}"] = getattr(legibility, _name)
 
 
+def description(self: GoogleDocstring) -> tuple[str, list[str]]:
+    """That of a property, in which a colon does not end a type."""
+    return "", type(self)(self._consume_to_end(), self._config).lines()
+
+
+GoogleDocstring._consume_inline_attribute = description
+
+
 def verbs() -> str:
     """The help of every verb, as Markdown."""
     parts = []
@@ -92,10 +101,12 @@ def headings_as_rubrics(app, what, name, obj, options, lines: list[str]) -> None
 def name_arrays(app, what, name, obj, options, signature, returned):
     """Write `Array` and `ArrayLike` in signatures, whose definitions fill lines."""
     aliases = {stringify_annotation(kind, "smart"): n for n, kind in _ARRAYS.items()}
-    shown = [signature, returned]
+    if signature is None:  # a property
+        return None
+    shown = [signature, returned or ""]
     for long, short in aliases.items():
-        shown = [text and text.replace(long, short) for text in shown]
-    return tuple(shown)
+        shown = [text.replace(long, short) for text in shown]
+    return tuple(re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in shown)
 
 
 def link_code(app, doctree: nodes.document, docname: str) -> None:
