@@ -12,7 +12,9 @@ from legibility.data.configuration import DatasetConfig, DemonstrationsConfig
 from legibility.data.dataset import Dataset, generate
 from legibility.data.demonstrations import Demonstrations, demonstrate
 from legibility.data.lerobot import read_lerobot, write_lerobot
-from legibility.errors import DatasetError
+from legibility.data.recorded import RecordedPaths, read_scenes
+from legibility.data.recordings import read_recordings
+from legibility.errors import DatasetError, InvalidInputError
 from legibility.scene import Scene
 
 SOURCE = DatasetConfig(
@@ -298,3 +300,16 @@ class TestRefuses:
     def test_fewer_frames_than_it_says(self, copy):
         pq.write_table(pq.read_table(copy / FILES[0])[:-1], copy / FILES[0])
         assert "is damaged: it has" in self.refused(copy)
+
+
+def test_is_recordings(written, shown):
+    """Each episode is a recording, and its task names its scene of `meta/scenes.json`."""
+    scenes = read_scenes(written / "meta" / "scenes.json")
+    recordings = read_recordings(written, 2)
+    assert len(recordings) == len(shown)
+    for recording, states in zip(recordings, shown.states, strict=True):
+        np.testing.assert_allclose(recording.positions, states, atol=1e-6)
+    found = RecordedPaths(recordings, scenes)
+    assert found.scenes == [scenes[str(i)] for i in np.unique(shown.scenes)]
+    with pytest.raises(InvalidInputError, match="the motions are 2D, the scene is 3D"):
+        read_recordings(written, 3)
