@@ -28,7 +28,7 @@ def test_example(here, capsys):
     (dial,) = content["result"]["dials"]
     assert (dial["observer"], dial["target"], dial["blocked"]) == ("dragan", 0, False)
     assert dial["range"] == pytest.approx(lg.build_archive(lg.Scene.load(files[1]), 0).range)
-    rows = {row["name"]: row for row in content["result"]["trajectories"]}
+    rows = {row["trajectory"]: row for row in content["result"]["trajectories"]}
     assert rows["legible"]["achieved_label"] > 0.9
     assert abs(rows["straight"]["achieved_label"]) < 0.01
     assert rows["ambiguous"]["achieved_label"] < -0.99
@@ -113,7 +113,7 @@ def test_recordings(here, cli, capsys):
     output = capsys.readouterr()
     assert output.err == ""
     rows = json.loads(Path("s.json").read_text())["result"]["trajectories"]
-    assert [(r["name"], r["observer"], r["target"]) for r in rows] == [
+    assert [(r["trajectory"], r["observer"], r["target"]) for r in rows] == [
         (name, who, target) for name, target in (("a", 0), ("b", 1)) for who in ("dragan", "paper")
     ]
     scene = lg.Scene.load("scene.yaml")

@@ -47,6 +47,13 @@ def test_times(name, tmp_path):
     np.testing.assert_array_equal(recording.positions, [[0, 0], [0.1, 1], [0.4, 0]])
 
 
+def test_what_is_the_same_for_a_trajectory_is_noted(tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text("trajectory,who,gaze,x,y\na,Ada,1,0,0\nb,Bo,1,0,0\na,Ada,2,1,1\nb,Bo,2,1,1\n")
+    found = read_recordings(file, 2)
+    assert [recording.notes for recording in found] == [{"who": "Ada"}, {"who": "Bo"}]
+
+
 def test_targets_and_scenes(tmp_path):
     file = tmp_path / "t.csv"
     file.write_text(
@@ -63,7 +70,7 @@ def frame(**options):
 
 
 OTHERS = {
-    "further columns": ("timestamp,x,yaw,y\n1e9,0.1,,0.2\n1e9,0.3,a,0.4\n", "timestamp, yaw"),
+    "further columns": ("timestamp,x,yaw,y\n1e9,0.1,,0.2\n1e9,0.3,a,0.4\n", "yaw"),
     "an index of pandas": (frame(), "without a name"),
     "an index of pandas, tabs": (frame(sep="\t"), "without a name"),
     "semicolons": ("x;y\n.1;.2\n.3;.4\n", None),
@@ -73,7 +80,7 @@ OTHERS = {
     "np.savetxt of two lines": ("# made by a robot\n# x y\n0.1 0.2\n0.3 0.4\n", None),
     "ROS": ("%time,x,y,field.seq\n1700000000000,.1,.2,7\n1700000000500,.3,.4,8\n", "field.seq"),
     "units": ("X [m];Y (m);t [s]\n.1;.2;0\n.3;.4;1\n", None),
-    "another frame": ("x,y,X_ref,x_dot\n.1,.2,9,9\n.3,.4,9,9\n", "x_ref, x_dot"),
+    "another frame": ("x,y,X_ref,x_dot\n.1,.2,9,9\n.3,.4,9,8\n", "x_dot"),
     "old line ends": ("x,y\r.1,.2\r.3,.4\r", None),
 }
 
@@ -84,7 +91,7 @@ def test_files_of_other_programs(content, left_out, tmp_path):
     file.write_bytes(content.encode())
     found = curves(file, PLANE, note=notes.append)
     np.testing.assert_array_equal(found["1"], [[0.1, 0.2], [0.3, 0.4]])
-    assert notes == ([f"{file}: columns left out: {left_out}"] if left_out else [])
+    assert notes == ([f"{file}: columns ignored: {left_out}"] if left_out else [])
 
 
 @pytest.mark.parametrize("scene", [PLANE, SOLID], ids=["2D", "3D"])
@@ -95,7 +102,7 @@ def test_parquet(scene, tmp_path):
         "Trajectory": pa.array(np.repeat([3, 4], count)),
         "target": pa.array(np.repeat([1, 0], count), pa.int8()),
         "t [s]": pa.array(np.tile(np.arange(count, dtype=np.float32), 2)),
-        "note": pa.array([None] * 2 * count),
+        "note": pa.array(range(2 * count)),
         **{axis: rng.random(2 * count) for axis in "xyz"[: scene.dim]},
     }
     pq.write_table(pa.table(table), tmp_path / "r.parquet")
@@ -103,7 +110,7 @@ def test_parquet(scene, tmp_path):
     found = read_recordings(tmp_path / "r.parquet", scene.dim, notes.append)
     assert [r.name for r in found] == ["3", "4"]
     assert [r.target for r in found] == [1, 0]
-    assert "columns left out: note" in notes[0]
+    assert "columns ignored: note" in notes[0]
     for recording, rows in zip(found, (slice(count), slice(count, None)), strict=True):
         wanted = np.stack([table[axis][rows] for axis in "xyz"[: scene.dim]], axis=-1)
         np.testing.assert_array_equal(recording.positions, wanted)

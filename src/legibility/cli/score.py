@@ -64,7 +64,8 @@ def score(
     The file, CSV or Parquet, has a header and a row for each point: columns x, y and in 3-D z [m].
     A column named trajectory, a name or number, tells several apart. A column t or time [s], which
     must rise within a trajectory, gives the times; without it the points are taken at equal time
-    steps. A column target gives the index of the intended goal. Other columns are left out.
+    steps. A column target gives the index of the intended goal. Columns that are the same for all
+    points of a trajectory are passed on to --csv, others are ignored.
 
     Rests at both ends are cut off and noise is smoothed, so that it does not count as length. The
     achieved label is read off the scene's archive. Metrics of a belief come twice, field_… for each
@@ -169,8 +170,8 @@ def _warn(rated: Sequence["Score"]) -> None:
 def _row(observer: str, rated: "Score") -> dict[str, Any]:
     """One row of the table of all metrics."""
     recording = rated.recording
-    names = {"name": recording.name, "observer": observer, "target": rated.archive.target}
-    return {**names, "points": len(recording), **rated.metrics}
+    names = {"trajectory": recording.name, "observer": observer, "target": rated.archive.target}
+    return {**names, **recording.notes, "points": len(recording), **rated.metrics}
 
 
 def _steps(observer: str, rated: "Score") -> list[dict[str, Any]]:
@@ -180,7 +181,7 @@ def _steps(observer: str, rated: "Score") -> list[dict[str, Any]]:
     return [
         {
             **names,
-            "t": time,
+            "t": round(time, 9),
             **dict(zip("xyz", point, strict=False)),
             **{f"belief_{goal}": share for goal, share in enumerate(shares)},
         }
@@ -212,9 +213,9 @@ def _print(
         "observer": len({row["observer"] for row in rows}) > 1,
         "target": len({row["target"] for row in rows}) > 1,
     }
-    names = ["name", *(key for key, differs in several.items() if differs)]
+    names = ["trajectory", *(key for key, differs in several.items() if differs)]
     head = title if several["target"] else f"{title}, goal {rows[0]['target']}"
-    heads = ("trajectory", *names[1:], *shown.values())
+    heads = (*names, *shown.values())
     result = table(head, *heads, text_columns=len(names))
     for row in rows:
         values = (significant(row[key]) if key in row else "" for key in shown)

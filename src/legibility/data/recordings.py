@@ -46,6 +46,7 @@ class _Row(NamedTuple):
     numbers: list[float]
     target: int | None
     scene: str | None
+    others: dict[str, str]
 
 
 def read_recordings(
@@ -62,7 +63,8 @@ def read_recordings(
             all points of a trajectory. Capitals, blanks, a `#` or `%` before the header and a unit
             behind a name (`x [m]`) are accepted.
         dim: D of the scene.
-        note: is called with a line about columns that are left out.
+        note: is called with a line about columns that are ignored: others, unless they are the same
+            for all points of each trajectory, which become its notes.
 
     Raises:
         InvalidInputError: anything else, naming the line or row.
@@ -89,9 +91,17 @@ def read_recordings(
         if len(found[name]) < 2:
             problem = f"trajectory {name!r} must have at least 2 points, got 1"
             raise InvalidInputError(f"{file}, {word} {place}: {problem}")
-    if left_out := [name or "without a name" for name in header.names if name not in _KNOWN]:
-        note(f"{file}: columns left out: {', '.join(left_out)}")
-    return [_recording(name, rows, dim) for name, rows in found.items()]
+    # What is the same for all points of each trajectory says something of the trajectory.
+    passed = [
+        name
+        for name in header.names
+        if name and name not in _KNOWN
+        and all(row.others[name] == rows[0].others[name] for rows in found.values() for row in rows)
+    ]  # fmt: skip
+    ignored = [name for name in header.names if name not in (*_KNOWN, *passed)]
+    if ignored:
+        note(f"{file}: columns ignored: {', '.join(name or 'without a name' for name in ignored)}")
+    return [_recording(name, rows, dim, passed) for name, rows in found.items()]
 
 
 def _of_lerobot(folder: str | Path, dim: int) -> list[Recording]:
@@ -115,10 +125,11 @@ def _named(place: str) -> Iterator[None]:
         raise InvalidInputError(f"{place}: {cause}") from cause
 
 
-def _recording(name: str, rows: Sequence[_Row], dim: int) -> Recording:
-    numbers = np.array([row.numbers for row in rows])
+def _recording(name: str, rows: Sequence[_Row], dim: int, passed: Sequence[str]) -> Recording:
+    numbers, first = np.array([row.numbers for row in rows]), rows[0]
     times = numbers[:, dim] if numbers.shape[-1] > dim else None
-    return Recording(numbers[:, :dim], times, name, rows[0].target, rows[0].scene)
+    notes = {column: first.others[column] for column in passed}
+    return Recording(numbers[:, :dim], times, name, first.target, first.scene, notes)
 
 
 def _check_next(rows: Sequence[_Row], columns: Sequence[str], dim: int) -> None:
@@ -171,12 +182,7 @@ def _parquet(file: str | Path) -> tuple[_Header, Iterator[tuple[int, list[str]]]
         reason = getattr(cause, "strerror", None) or "not a Parquet file"
         raise InvalidInputError(f"cannot read the trajectory file {file}: {reason}") from cause
     header = _split(0, list(table.column_names))
-    known = [name in _KNOWN for name in header.names]
-    columns = [
-        column.to_pylist() if keep else [""] * table.num_rows
-        for column, keep in zip(table.columns, known, strict=True)
-    ]
-    cells = zip(*columns, strict=True)
+    cells = zip(*(column.to_pylist() for column in table.columns), strict=True)
     return header, ((i, ["" if c is None else str(c) for c in row]) for i, row in enumerate(cells))
 
 
@@ -271,7 +277,8 @@ def _row(cells: list[str], header: _Header, columns: Sequence[str]) -> tuple[str
         raise InvalidInputError(f"target must be the index of a goal, got {target!r}")
     if (scene := texts.get(_SCENE)) == "":
         raise InvalidInputError("the scene has no name")
-    return name, _Row(numbers, None if target is None else int(float(target)), scene)
+    others = {column: texts[column] for column in texts if column and column not in _KNOWN}
+    return name, _Row(numbers, None if target is None else int(float(target)), scene, others)
 
 
 def _is_number(text: str) -> bool:

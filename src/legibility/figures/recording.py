@@ -32,10 +32,15 @@ def belief_figure(rated: Mapping[str, Sequence[Score]], file: str | Path) -> Non
                 times, target = score.recording.motion_times, score.archive.target
                 belief_panel(panel, times, score.belief, target)
                 level = rf"$\ell$ = {score.achieved:.2f}".replace("-", "−")
-                title = f"{score.recording.name}, {level}" if index == 0 else level
+                title = f"trajectory {score.recording.name}, {level}" if index == 0 else level
                 panel.set_title(title)
         for bottom, score in zip(panels[-1], first, strict=True):
             bottom.set_xlabel("point" if score.recording.times is None else "time [s]")
-        colors = goal_colors(2, 0)
-        lines = [Line2D([], [], color=color) for color in colors]
-        figure.legend(lines, ["target", "another goal"], loc="outside lower center", ncols=2)
+        targets = {score.archive.target for score in first}
+        if len(targets) == 1:
+            (target,), number = targets, first[0].archive.scene.num_goals
+            names = [f"goal {g}" + " (target)" * (g == target) for g in range(number)]
+        else:
+            target, number, names = 0, 2, ["target", "another goal"]
+        lines = [Line2D([], [], color=color) for color in goal_colors(number, target)]
+        figure.legend(lines, names, loc="outside lower center", ncols=min(number, 4))

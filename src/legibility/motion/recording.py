@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ class Recording:
         name: what it is called in tables and messages.
         target: index of the intended goal, if known.
         scene: name of the scene that it was recorded in, if there are several.
+        notes: what else is known of it, such as its participant, by name.
 
     Raises:
         InvalidInputError: a value out of its range, named with the recording.
@@ -41,6 +43,7 @@ class Recording:
     name: str = "1"
     target: int | None = None
     scene: str | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
