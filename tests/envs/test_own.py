@@ -53,6 +53,44 @@ class Point:
         return None, 0.0, self.success, False, {}
 
 
+class Clipped(Point):
+    """Makes a tenth of its largest displacement at most."""
+
+    def step(self, action):
+        return super().step(
+            np.clip(action, -0.05 * self.max_displacement, 0.05 * self.max_displacement)
+        )
+
+
+class Jumping(Point):
+    """Tells where it is in another frame at a reset."""
+
+    def reset(self, **options):
+        found = super().reset(**options)
+        self.position[0] -= 0.5
+        return found
+
+    def step(self, action):
+        self.position[0] += 0.5 * (self.steps == 0)
+        return super().step(action)
+
+
+class Soon(Point):
+    """Has reached its target wherever it is."""
+
+    def step(self, action):
+        found = super().step(action)
+        self.success = True
+        return found
+
+
+class Over(Point):
+    """Ends at once."""
+
+    def step(self, action):
+        return *super().step(action)[:3], True, {}
+
+
 def moved(env, driver=None, replan=None, seed=0):
     """The motion along a straight line to the target."""
     fleet = fleet_of(env, seed)
@@ -339,6 +377,10 @@ FAULTS = [
     (OldStep, "step must return observation, reward, terminated, truncated and info"),
     (lambda: Point(gain=20), "an action is a displacement in metres, no velocity"),
     (lambda: Point(gain=0.05), "position by 0.00248 m, it must realise a share from 0.1"),
+    (Clipped, "max_displacement is the largest that the robot makes"),
+    (Jumping, "position: it jumps by 0.5"),
+    (Soon, "success: it is True where the robot is 3"),
+    (Over, "the episode ends after the first step"),
     (Swapped, "along axis 0 moves position by 0 m"),
     (Turned, "moves position sideways by 0.023"),
     (lambda: Point(drift=0.45), "set lag to 0.4"),

@@ -183,6 +183,8 @@ class TestRefuses:
         for name in ("block-reach-2d", "a/b"):
             with pytest.raises(InvalidInputError, match=f"but {name} is here, got 'v1'"):
                 Modulator.from_pretrained(name, revision="v1")
+            with pytest.raises(InvalidInputError, match=f"but {name} is here, got 'v1'"):
+                Modulator.from_pretrained(f"{name}@v1")
         assert not hub.requests
 
     def test_two_revisions(self, hub):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import legibility as lg
-from legibility.errors import MissingExtraError, OutputError
+from legibility.errors import InvalidInputError, MissingExtraError, OutputError
 from legibility.motion.path import Path
 from legibility.robots import formats
 
@@ -106,6 +106,10 @@ def test_bag(dim, frame, tmp_path):
 
 
 def test_messages_are_plain(arm_motion):
+    names = [f"fr3_joint{j}" for j in range(1, 8)]
+    assert formats.joint_trajectory(arm_motion, names)["joint_names"] == names
+    with pytest.raises(InvalidInputError, match="joint_names must be 7, one for each joint, got 6"):
+        formats.joint_trajectory(arm_motion, names[1:])
     for message in (formats.joint_trajectory(arm_motion), formats.nav_path(arm_motion)):
         assert json.loads(json.dumps(message)) == message
 

@@ -79,7 +79,8 @@ def data(
         scenes: number of random scenes; or a file, .yaml or .json, of one scene or of several
             (scenes: {NAME: SCENE, ...}), with each goal as the target in turn; --dim and --goals
             then count for nothing.
-        recordings: recorded motions in the scenes of the file --scenes.
+        recordings: recorded motions in the scenes of the file --scenes: a table, or a folder in the
+            format LeRobotDataset v3.
         out: folder of the dataset to make.
         info: folder of the dataset to describe.
         export: torch (safetensors), lerobot (the demonstrations, LeRobotDataset v3) or csv.
@@ -223,6 +224,12 @@ def _describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
         "dial_coverage": _dial_coverage(labels),
         "labels": {"edges": edges, "counts": np.histogram(labels, bins=edges)[0]},
     }
+    if dataset.recorded is not None:
+        mine = dataset.recorded[:: config.views]
+        result["recorded"] = {
+            "motions": sum(len(np.unique(row[row >= 0])) for row in mine),
+            "of_the_archive": (mine < 0).mean(),
+        }
     if (folder / DEMONSTRATIONS).exists():
         shown = Demonstrations.load(folder)
         steps = np.array([len(actions) for actions in shown.actions])
@@ -255,6 +262,9 @@ def _tables(result: dict[str, Any], config: DatasetConfig, folder: Path) -> list
     facts.add_row("scene", "given" if given else "random")
     if recordings:
         facts.add_row("recordings", recordings)
+        recorded = result["recorded"]
+        again = f"{recorded['motions']} motions, repeated to {config.per_scene} a scene"
+        facts.add_row("recorded", f"{again}; {recorded['of_the_archive']:.0%} of the archive's")
     facts.add_section()
     elites, coverage = result["elites"], result["coverage"]
     facts.add_row("trajectories", f"{result['trajectories']} in {result['scenes']} scenes")

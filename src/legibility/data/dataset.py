@@ -137,7 +137,10 @@ def _rows(config: DatasetConfig, index: int, recorded: Array | None) -> Iterator
             "coverage": seen.coverage,
             "anchor_score": seen.anchor_score,
             "score_at_label": seen.score_of(LABEL_KNOTS),
-            **{name: values.astype(np.float32).ravel() for name, values in chosen.items()},
+            **{
+                name: values.astype(np.int32 if name == "recorded" else np.float32).ravel()
+                for name, values in chosen.items()
+            },
         }
 
 
@@ -160,9 +163,11 @@ def _mixed(
         "waypoints": recorded[chosen, 1:-1],
         "scores": scores[chosen],
         "labels": labels[chosen],
+        "recorded": chosen,
     }]  # fmt: skip
     if len(gaps):
-        parts.append(choice.select(seen, gaps, config.efficiency, rng))
+        filling = choice.select(seen, gaps, config.efficiency, rng)
+        parts.append({**filling, "recorded": np.full(len(gaps), -1)})
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -245,6 +250,8 @@ class Dataset:
         scenes: S, those of one archive side by side; the target is goal 0 in each.
         observers: S.
         controls: `(S, N, 4, D)` float32 [m], cubic Béziers; None with recorded motions.
+        recorded: `(S, N)` int32, index of the recorded motion among those of its scene, −1 of one
+            from the archive; None without recorded motions.
         waypoints: `(S, N, K, D)` float32 [m], between start and goal at equal arc length.
         scores: `(S, N)` float32, of the curve through start, waypoints and goal.
         labels: `(S, N)` float32.
@@ -257,6 +264,7 @@ class Dataset:
     scenes: list[Scene]
     observers: list[Observer]
     controls: np.ndarray | None
+    recorded: np.ndarray | None
     waypoints: np.ndarray
     scores: np.ndarray
     labels: np.ndarray
@@ -284,9 +292,9 @@ class Dataset:
             return self
         rows = num * self.config.views
         arrays = ("scenes", "observers", "waypoints", "scores", "labels", "score_at_label")
-        controls = None if self.controls is None else self.controls[:rows]
         return Dataset(
-            controls=controls,
+            controls=None if self.controls is None else self.controls[:rows],
+            recorded=None if self.recorded is None else self.recorded[:rows],
             config=replace(self.config, scenes=num, given=self.config.given[:num]),
             digest=f"{self.digest}[:{num}]",
             summary={name: values[:rows] for name, values in self.summary.items()},
@@ -319,6 +327,7 @@ class Dataset:
                 Observer.from_dict(json.loads(text)) for text in table["observer"].to_pylist()
             ],
             controls=None if config.recordings else dense("controls", num, 4, dim),
+            recorded=dense("recorded", num) if config.recordings else None,
             waypoints=dense("waypoints", num, NUM_WAYPOINTS, dim),
             scores=dense("scores", num),
             labels=dense("labels", num),

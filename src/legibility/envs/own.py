@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -20,7 +21,9 @@ DEFAULT_LAG = 0.3
 """Largest lag of a robot whose environment names none."""
 
 _NOISE = 0.1  # in largest displacements, by which a scene may differ before paths are replanned
-_PROBES, _SHARE = 3, 0.5  # steps of a motion that `check` tries, and of the largest displacement
+_PROBES = 3  # steps of a motion that `check` tries
+_SHARES = (0.5, 1.0)  # of the largest displacement, that it tries
+_JUMP, _FAR = 2.0, 5.0  # in displacements: of a first step, and from a target that is not reached
 _REALISED = 0.1, 1.1  # share of a displacement that a step must realise
 _ASIDE, _SPARE = 0.25, 0.05  # of a displacement: sideways, and of the noise of a stop
 
@@ -307,38 +310,56 @@ def _reset_problems(env: Any, seed: int, arm: Any) -> list[str]:
 def _probed(env: Any, seed: int, dim: int) -> list[str]:
     """What is wrong with the motions of the robot."""
     problems = []
-    for axis in range(dim):
+    for axis, share in itertools.product(range(dim), _SHARES):
         try:
             env.reset(seed=seed)
-            problems += _probed_along(OwnFleet(env, seed), axis)
+            found = list(_probed_along(OwnFleet(env, seed), axis, share))
         except LegibilityError as cause:
-            problems.append(str(cause))
+            found = [str(cause)]
+        if problems and found and share == _SHARES[-1]:
+            continue  # the same again
+        problems += found
     return list(dict.fromkeys(problems))
 
 
-def _probed_along(fleet: OwnFleet, axis: int) -> Iterator[str]:
-    """What is wrong with a motion along an axis, toward the middle of the workspace."""
+def _probed_along(fleet: OwnFleet, axis: int, share_sent: float) -> Iterator[str]:
+    """What is wrong with a motion along an axis, toward the middle of the workspace.
+
+    `share_sent` is that of the largest displacement.
+    """
     active, places = np.ones(1, dtype=bool), [fleet.positions]
     inward = fleet.workspace.mean(0)[axis] >= places[0][0, axis]
     action = np.zeros_like(places[0])
-    action[0, axis] = _SHARE * fleet.limit * (1 if inward else -1)
+    action[0, axis] = share_sent * fleet.limit * (1 if inward else -1)
     for step in range(2 * _PROBES):
         sent = fleet.safe(action if step < _PROBES else 0 * action, places[-1], _last(places))
         if step < _PROBES and not np.array_equal(sent, action):
             return  # something is in the way
-        ends = fleet.step(sent, active)
+        success, *ends = fleet.step(sent, active)
         places.append(fleet.positions)
+        apart = float(np.linalg.norm(fleet.goals[0] - fleet.positions[0]))
+        if success[0]:
+            if apart > _FAR * fleet.limit:
+                yield f"success: it is True where the robot is {apart:.3g} m from its target"
+            return
         if any(end[0] for end in ends):
+            if step == 0:
+                yield "step: it says that the episode ends after the first step of a robot"
             return
     moved = (places[_PROBES] - places[_PROBES - 1])[0]
     size = float(np.abs(action).max())
     share = float(moved[axis] / action[0, axis])
     aside = float(np.linalg.norm(np.delete(moved, axis)))
+    jump = float(np.linalg.norm(places[1] - places[0]))
+    if jump > _JUMP * max(fleet.limit, float(np.linalg.norm(moved))):
+        yield f"position: it jumps by {jump:.3g} m in the first step after a reset"
+        return
     if not _REALISED[0] <= share <= _REALISED[1]:
         yield (
             f"step: an action of {action[0, axis]:g} m along axis {axis} moves position by "
             f"{moved[axis]:.3g} m, it must realise a share from {_REALISED[0]:g} to 1: an action "
-            "is a displacement in metres, no velocity, in the axes of position"
+            "is a displacement in metres, no velocity, in the axes of position; max_displacement "
+            "is the largest that the robot makes"
         )
     elif aside > _ASIDE * size:
         yield (
@@ -350,7 +371,11 @@ def _probed_along(fleet: OwnFleet, axis: int) -> Iterator[str]:
         rate = float(np.linalg.norm(moved))
         if coast > fleet.lag / (1 - fleet.lag) * rate:
             lag = coast / (coast + rate)
-            remedy = f"set lag to {lag:.2g}" if lag <= 0.5 else "a lag above 0.5 is too much"
+            remedy = (
+                f"set lag to {lag:.2g}"
+                if lag <= 0.5
+                else "a lag above 0.5 is too much, or max_displacement is too large to stop from"
+            )
             yield (
                 f"lag: sent 0, the robot moves on by {coast:.3g} m after steps of {rate:.3g} m, "
                 f"more than a lag of {fleet.lag:g} allows: {remedy}"

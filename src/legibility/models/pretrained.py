@@ -50,6 +50,9 @@ def pretrained_folder(name_or_folder: str | Path, revision: str | None = None) -
                 f"revision is for the Hugging Face Hub, but {name} is here, got {revision!r}"
             )
         return folder
+    base, at, own = name.partition("@")
+    if at and (base in names or at_home(base).is_dir()):
+        return pretrained_folder(base, own)  # which says that it has no revisions
     repository = hub_name(name, revision) if isinstance(name_or_folder, str) else None
     if repository is not None:
         return download(*repository)

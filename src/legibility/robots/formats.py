@@ -7,13 +7,14 @@ import functools
 import io
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..checks import Array
-from ..errors import MissingExtraError, OutputError
+from ..errors import InvalidInputError, MissingExtraError, OutputError
 from ..files import at_home, atomic_path, write_bytes, write_json
 from .simulator import quaternion
 
@@ -58,12 +59,25 @@ def save(motion: Motion, file: str | Path) -> None:
         _save_bag(motion, file)
 
 
-def joint_trajectory(motion: Motion) -> dict[str, Any]:
+def joint_trajectory(motion: Motion, joint_names: Sequence[str] | None = None) -> dict[str, Any]:
     """A `trajectory_msgs/JointTrajectory` as plain lists and numbers.
 
     `rosidl_runtime_py.set_message_fields` takes it. There are no points without an arm.
+
+    Args:
+        motion: a timed motion.
+        joint_names: of the robot's own description, such as `fr3_joint1`; the model's if not given.
+
+    Raises:
+        InvalidInputError: there is another number of names than of joints.
     """
     names = [] if motion.arm is None else motion.arm.joint_names
+    if joint_names is not None:
+        if len(joint_names) != len(names):
+            raise InvalidInputError(
+                f"joint_names must be {len(names)}, one for each joint, got {len(joint_names)}"
+            )
+        names = list(joint_names)
     rows = zip(
         motion.times, motion.joint_positions, motion.joint_velocities, motion.joint_accelerations,
         strict=False,
