@@ -372,7 +372,7 @@ class Controller:
         if not ((here >= low - spare) & (here <= high + spare)).all():
             raise InvalidInputError(
                 f"position must lie in the workspace {self.scene.workspace.tolist()} m, "
-                f"got {here.tolist()}"
+                f"got {here.tolist()}{' in the world' if self._base else ''}"
             )
         before = self._states[-1] if self._states else self._first.scene.start
         apart = float(np.linalg.norm(here - before))

@@ -336,6 +336,9 @@ class TestAnotherArm:
         file.write_text("model: a.xml\nshoe: 3\n")
         with pytest.raises(InvalidInputError, match=r"arm.yaml does not describe an arm: .*shoe"):
             Arm.load(file)
+        file.write_text("\n".join(lines).replace("velocity", "velocitys"))
+        with pytest.raises(InvalidInputError, match=r"unknown: velocitys; did you mean velocity\?"):
+            Arm.load(file)
         file.write_text("- 3\n")
         with pytest.raises(InvalidInputError, match="must hold a mapping with model, site, home"):
             Arm.load(file)

@@ -174,7 +174,9 @@ def mover(limits: Limits | str | None, arm: Arm | str | None) -> tuple[Limits, A
     wanted = 0 if arm is None else arm.joints
     if limits.joints != wanted:
         kinds = [f"{n} joints" if n else "a point" for n in (limits.joints, wanted)]
-        raise InvalidInputError(f"the limits are for {kinds[0]}, what moves is {kinds[1]}")
+        raise InvalidInputError(
+            f"the limits are for {kinds[0]}, what moves is {kinds[1]}{': give arm' * (arm is None)}"
+        )
     return limits, arm
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -145,10 +145,7 @@ class Arm:
         content = dict(content)
         try:
             if isinstance(limits := content.get("limits"), dict):
-                tip = limits.get("tip")
-                if isinstance(tip, dict):
-                    limits = {**limits, "tip": Limits(**tip)}
-                content["limits"] = Limits(**limits)
+                content["limits"] = _limits(limits)
             beside = at_home(file).parent / str(content.get("model"))
             if beside.is_file():
                 content["model"] = beside
@@ -361,3 +358,15 @@ PANDA = Arm(
 
 ARMS = dict(zip(ARM_NAMES, (PANDA,), strict=True))
 """The arms that the package knows by name."""
+
+
+def _limits(content: dict[str, Any]) -> Limits:
+    """Limits by the names of their values, with a mapping of a point's for `tip`."""
+    names = [f.name for f in fields(Limits)]
+    if unknown := [str(name) for name in content if name not in names]:
+        raise InvalidInputError(
+            f"limits have the keys {', '.join(names)}; unknown: {', '.join(unknown)}"
+            f"{did_you_mean(unknown[0], names)}"
+        )
+    tip = content.get("tip")
+    return Limits(**{**content, "tip": _limits(tip) if isinstance(tip, dict) else tip})
