@@ -90,8 +90,7 @@ def data(
 
     Examples:
         legibility data --scenes 4096 --views 4 --per-scene 25 --workers 8 --out runs/data
-        legibility data --info runs/data --figure out/data.png
-        legibility data --from recordings.csv --scenes scenes.yaml --mix 0.3 --out runs/mine
+        legibility data --from examples/recordings.csv --scenes examples/paper.yaml --out runs/mine
     """
     if export is not None or source is not None:
         rest = (dataset, observer, controller, workers, scenes, recordings, info, figure, json)

@@ -178,6 +178,10 @@ def dial_lines(archive: Archive) -> list[str]:
     lines = [f"the dial spans {low} nats below ℓ = 0 and {high} nats above"]
     if archive.degenerate:
         lines.append(f"a side spans less than {SMALLEST_RANGE:g} nats: its labels say little")
+    belief = archive.field.posterior(archive.scene.goals[archive.target])
+    if belief.argmax() != archive.target:
+        share = significant(belief[archive.target])
+        lines.append(f"the observer believes in the target by {share} only when the robot is there")
     if archive.blocked:
         lines.append("the straight line is blocked: ℓ = 0 is the shortest feasible curve")
     return lines

@@ -118,20 +118,39 @@ def help_of(name: str) -> str:
 def _parse(name: str, words: list[str]) -> None:
     import tyro
 
-    verb = load(name)
+    verb, box = load(name), io.StringIO()
     try:
-        tyro.cli(
-            _talking(verb), prog=f"legibility {name}", args=words,
-            config=(tyro.conf.OmitArgPrefixes,),
-        )  # fmt: skip
+        with contextlib.redirect_stderr(box):
+            call = tyro.cli(
+                _talking(verb), prog=f"legibility {name}", args=words,
+                config=(tyro.conf.OmitArgPrefixes,),
+            )  # fmt: skip
     except SystemExit as stop:
-        if not stop.code:  # after --help
-            print("\n".join(["examples:", *(f"  {line}" for line in examples(verb))]))
+        if stop.code:
+            raise InvalidInputError(_mistake(box.getvalue(), name)) from None
+        print("\n".join(["examples:", *(f"  {line}" for line in examples(verb))]))
         raise
+    call()
+
+
+def _mistake(box: str, name: str) -> str:
+    """The parser's box about a mistake in one line: the mistake, and the nearest option."""
+    lines = [line.strip("│|").rstrip() for line in box.splitlines()]
+    is_rule = [not line.strip("─-╭╮╰╯+ ") or line[:1] in "╭╰+" for line in lines]
+    ends = [i for i, rule in enumerate(is_rule) if rule] + [len(lines)]
+    parts = [lines[a + 1 : b] for a, b in itertools.pairwise(ends) if b > a + 1]  # below a title
+    (first, *options), *more = parts or [["it cannot be read"]]
+    inner = len(first) - len(first.lstrip()) + 4
+    named = [line.strip() for line in options if len(line) - len(line.lstrip()) == inner]
+    wrapped = [] if named else [line.strip() for line in options]
+    problem = " ".join([first.strip(), *wrapped]) + " " * bool(named) + ", ".join(named)
+    meant = re.search(r"Perhaps you meant:\s*(--[\w-]+)", "\n".join(itertools.chain(*more)))
+    hint = f"; did you mean {meant[1]}?" if meant else ""
+    return f"{problem[0].lower()}{problem[1:]}{hint} (legibility {name} --help tells more)"
 
 
 def _talking(verb: Callable[..., Any]) -> Callable[..., Any]:
-    """A verb's function with the flags --quiet and --verbose."""
+    """A verb's function with the flags --quiet and --verbose, which returns the call to make."""
     from tyro.conf import FlagCreatePairsOff, arg
 
     quiet = Annotated[
@@ -145,9 +164,12 @@ def _talking(verb: Callable[..., Any]) -> Callable[..., Any]:
             help_behavior_hint=""),
     ]  # fmt: skip
 
-    def talking(*arguments: Any, quiet: bool, verbose: bool, **options: Any) -> None:
-        with speaking(quiet, verbose):
-            verb(*arguments, **options)
+    def talking(*arguments: Any, quiet: bool, verbose: bool, **options: Any) -> Callable[[], None]:
+        def call() -> None:
+            with speaking(quiet, verbose):
+                verb(*arguments, **options)
+
+        return call
 
     hints = {"quiet": quiet, "verbose": verbose}
     more = [

@@ -6,7 +6,9 @@ from typing import Any
 
 from matplotlib.lines import Line2D
 
+from ..envs.colors import INK
 from ..evaluation.scoring import Score
+from ..intent.metrics import CONFIDENCE
 from .motion import belief_axis, belief_panel, check_number
 from .scene_axes import goal_colors
 from .style import PAGE, figure_file
@@ -43,4 +45,6 @@ def belief_figure(rated: Mapping[str, Sequence[Score]], file: str | Path) -> Non
         else:
             target, number, names = 0, 2, ["target", "another goal"]
         lines = [Line2D([], [], color=color) for color in goal_colors(number, target)]
-        figure.legend(lines, names, loc="outside lower center", ncols=min(number, 4))
+        lines.append(Line2D([], [], color=INK, marker="D", ms=4, ls="none"))
+        names.append(f"target believed by {CONFIDENCE:g} for good")
+        figure.legend(lines, names, loc="outside lower center", ncols=4)
