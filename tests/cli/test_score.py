@@ -146,6 +146,14 @@ def test_much_noise_is_told(here, cli, capsys):
     assert re.search(r"trajectory shaky: \d+% of its length is taken for", capsys.readouterr().err)
 
 
+def test_two_motions_of_one_name_are_told(here, cli, capsys):
+    texts = [recorded("a", target, np.random.default_rng(0))[0] for target in (0, 1)]
+    rows = ["a," + line.split(",", 3)[3] for text in texts for line in text.splitlines()]
+    Path("r.csv").write_text("trajectory,x,y\n" + "\n".join(rows) + "\n")
+    assert cli("score r.csv scene.yaml --target 0") == 0
+    assert "between two points: do several have its name?" in capsys.readouterr().err
+
+
 def test_belief(here, cli):
     text, _ = recorded("a", 0, np.random.default_rng(0))
     Path("r.csv").write_text("trajectory,target,t,x,y\n" + text)

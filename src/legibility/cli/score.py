@@ -6,6 +6,7 @@ from csv import DictWriter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from tyro.conf import Positional, arg
 
 from ..errors import InvalidInputError
@@ -37,13 +38,14 @@ _SHOWN = {
     "achieved_label": "ℓ",
     "legibility_score": "L_p",
     "length_ratio": "length over shortest",
-    "dragan_legibility": "Dragan’s legibility",
-    "dragan_time_to_confidence": "share until Dragan’s observer is confident",
+    "field_legibility": "mean belief, early first",
+    "field_time_to_confidence": "share until confident",
     "clearance": "clearance [m]",
     "duration": "duration [s]",
 }
 """The metrics on the terminal, the others are in the files."""
 _JITTER = 0.1  # share of the length taken for noise that is worth a warning
+_MANY, _JUMP = 20, 0.2  # points, and share of the diagonal between two, that look like two motions
 _GAP = 0.01  # of an end from the scene's, over the diagonal, that is worth one
 
 _Observers = Annotated[tuple[str, ...], choices(OBSERVERS, "FILE", count=" ...")]
@@ -155,6 +157,12 @@ def _observers(file: Path, asked: Sequence[str]) -> tuple[Scene, dict[str, Obser
 def _warn(rated: Sequence["Score"]) -> None:
     """Say which recordings are much smoothed, or do not lead from start to target."""
     for each in rated:
+        steps = np.linalg.norm(np.diff(each.recording.positions, axis=0), axis=-1)
+        if len(steps) >= _MANY and steps.max() > _JUMP * each.archive.scene.diagonal:
+            note(
+                f"trajectory {each.recording.name} jumps by {number(steps.max())} m between two "
+                "points: do several have its name?"
+            )
         name, metrics, least = each.recording.name, each.metrics, _GAP * each.archive.scene.diagonal
         if each.recording.lost > _JITTER:
             note(

@@ -138,7 +138,9 @@ def _check_next(rows: Sequence[_Row], columns: Sequence[str], dim: int) -> None:
         return
     before, after = rows
     if len(after.numbers) > dim and after.numbers[-1] <= before.numbers[-1]:
-        raise InvalidInputError(f"{columns[-1]} must rise, got {after.numbers[-1]}")
+        raise InvalidInputError(
+            f"{columns[-1]} must rise, got {after.numbers[-1]}: do several motions have one name?"
+        )
     for name in (_TARGET, _SCENE):
         old, new = getattr(before, name), getattr(after, name)
         if old != new:
