@@ -67,6 +67,10 @@ def test_ends_are_moved_onto_those_of_the_scene(first, last):
         RecordedPaths([recording], {"": scene}).paths for recording in (exact, lg.Recording(moved))
     )
     np.testing.assert_allclose(got, wanted, atol=0.02)
+    gap = max(np.linalg.norm(first), np.linalg.norm(last))
+    found = RecordedPaths([lg.Recording(moved, name="a")], {"": scene})
+    if abs(gap - 0.01 * scene.diagonal) > 0.002:
+        assert found.off == (["a"] if gap > 0.01 * scene.diagonal else [])
 
 
 def test_the_nearest_goal_is_meant():

@@ -160,9 +160,13 @@ def _source(scenes: str, recordings: Path | None) -> tuple[dict[str, Any], Seque
         return {"given": several, "scenes": len(several)}, None
     dim = next(iter(places.values())).dim
     found = RecordedPaths(read_recordings(recordings, dim, note), places)
-    if found.touching:
-        shown = ", ".join(found.touching[:5]) + ", …" * (len(found.touching) > 5)
-        note(f"{len(found.touching)} recordings touch something and are left out: {shown}")
+    for names, what in (
+        (found.touching, "touch something and are left out"),
+        (found.off, "begin or end off the scene's start or target and are moved onto them"),
+    ):
+        if names:
+            shown = ", ".join(names[:5]) + ", …" * (len(names) > 5)
+            note(f"{len(names)} recordings {what}: {shown}")
     return found.config(), found.paths
 
 

@@ -21,8 +21,9 @@ from ..motion.recording import Recording
 from ..scene import Scene
 from .configuration import with_target_first
 
-ENDS = 0.05
-"""How far a recording may begin from the start or end from its target, over the diagonal."""
+ENDS, NEAR = 0.05, 0.01
+"""How far a recording may begin from the start or end from its target, over the diagonal, and how
+far without a word."""
 
 
 def read_scenes(file: str | Path) -> dict[str, Scene]:
@@ -63,6 +64,7 @@ class RecordedPaths:
         scenes: each with the target as goal 0, in the order of the recordings.
         paths: of each scene, `(M, K + 2, D)` [m]: start, waypoints at equal arc length, goal.
         touching: names of recordings that were left out since they touch something.
+        off: names of recordings whose ends lie off the scene's by over `NEAR` of the diagonal.
         digest: hash of all paths and scenes.
     """
 
@@ -79,11 +81,15 @@ class RecordedPaths:
         """
         groups: dict[tuple[str, int], list[Array]] = {}
         self.touching: list[str] = []
+        self.off: list[str] = []
         for recording in recordings:
             name = _scene_of(recording, scenes)
             scene = scenes[name]
             target = _target_of(recording, scene)
             path = _path(recording, scene, target)
+            gaps = np.linalg.norm(path[[0, -1]] - recording.motion[[0, -1]], axis=-1)
+            if gaps.max() > NEAR * scene.diagonal:
+                self.off.append(recording.name)
             if scene.feasible(path_curve(path[None], SCORE_POINTS), target)[0]:
                 groups.setdefault((name, target), []).append(path)
             else:
