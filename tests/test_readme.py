@@ -101,7 +101,7 @@ def test_commands_that_take_long_are_parsed(command, monkeypatch, capsys):
     assert called
 
 
-SHORT = {"your_data.py": ["out/your-data", "2", "2"]}
+SHORT = {"your_data.py": ["out/your-data", "2", "1"]}
 """Arguments of examples that take minutes without them."""
 
 

@@ -103,7 +103,7 @@ def test_csv_is_what_score_reads(executed, cli, tmp_path):
         assert len(list(csv.DictReader(file))) % 3 == 0
     assert cli("score o/e.csv scene.yaml --target 1 --json", tmp_path / "s.json") == 0
     rated = json.loads((tmp_path / "s.json").read_text())["result"]["trajectories"]
-    assert [row["name"] for row in rated] == ["-1", "0", "1"]
+    assert [row["trajectory"] for row in rated] == ["-1", "0", "1"]
     achieved = [row["achieved"] for row in content["result"]["rollouts"]]
     np.testing.assert_allclose([r["achieved_label"] for r in rated], achieved, atol=0.05)
 

@@ -66,7 +66,7 @@ def test_csv_is_what_score_reads(planned, cli):
     assert list(rows[0]) == ["trajectory", "x", "y"]
     assert cli("score out/p.csv scene.yaml --json s.json") == 0
     rated = json.loads(Path("s.json").read_text())["result"]["trajectories"]
-    assert [row["name"] for row in rated] == ["-1", "0", "1", "-0.5"]
+    assert [row["trajectory"] for row in rated] == ["-1", "0", "1", "-0.5"]
     achieved = [path["achieved"] for path in content["result"]["paths"]]
     np.testing.assert_allclose([r["achieved_label"] for r in rated], achieved, atol=0.05)
 

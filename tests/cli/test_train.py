@@ -236,7 +236,7 @@ def test_all_stages_of_a_model(here, cli, one_thread, monkeypatch, capsys):
     ("words", "message"),
     [
         ("--scenes 0", "scenes must be an integer of at least 1, got 0"),
-        ("--dim 4", "dim must be 2 or 3, got 4"),
+        ("--dim 4", "dim must be one of 2, 3, got 4"),
         ("--settings none.yaml", "cannot read the settings file none.yaml"),
         ("--settings speed.yaml", "the section path has "),
         ("--settings scene.yaml", "settings must be sections of settings"),

@@ -746,4 +746,4 @@ def test_candidates_cost_little_more_than_their_arithmetic():
     )
     assert run.returncode == 0, run.stderr
     rate, yardstick = map(float, run.stdout.split())
-    assert rate * yardstick > 2000, f"{rate:,.0f} candidates/s, yardstick {yardstick * 1e3:.0f} ms"
+    assert rate * yardstick > 1000, f"{rate:,.0f} candidates/s, yardstick {yardstick * 1e3:.0f} ms"

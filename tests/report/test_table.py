@@ -99,4 +99,4 @@ def test_numbers():
 
 def test_no_line_of_a_paragraph_begins_a_list():
     text = markdown(["word " * 18 + "counts as 1. The rest follows."])
-    assert text.splitlines()[1] == "The rest follows."
+    assert text.splitlines()[1] == "as 1. The rest follows."

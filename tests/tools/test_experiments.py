@@ -9,6 +9,7 @@ import pytest
 from experiments import Experiment, main, read_experiments
 
 from legibility import cli
+from legibility.cli import verbs
 from legibility.cli.output import model_record
 from legibility.errors import InvalidInputError
 
@@ -136,8 +137,8 @@ def test_entries_of_the_project_are_commands(folder, monkeypatch):
 
         return call
 
-    load = cli._load
-    monkeypatch.setattr(cli, "_load", stub)
+    load = verbs.load
+    monkeypatch.setattr(verbs, "load", stub)
     entries = read_experiments(ROOT / "experiments.toml")
     assert len(entries) > 10
     for experiment in entries.values():

@@ -106,8 +106,10 @@ def markdown(parts: Iterable[Part]) -> str:
 
 
 def _filled(paragraph: str) -> str:
-    text = textwrap.fill(paragraph, 100, break_long_words=False, break_on_hyphens=False)
-    return re.sub(r"\n(\d+[.)]) ", r" \1\n", text)  # "1. " at the start of a line begins a list
+    # "1. " at the start of a line would begin a list: such a number stays with the word before.
+    tied = re.sub(r" (\d+[.)])(?= )", "\0\\1", paragraph)
+    text = textwrap.fill(tied, 100, break_long_words=False, break_on_hyphens=False)
+    return text.replace("\0", " ")
 
 
 def number(value: float, digits: int = 3) -> str:
