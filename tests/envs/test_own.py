@@ -62,6 +62,14 @@ class Clipped(Point):
         )
 
 
+class HalfClipped(Point):
+    """Makes three fifths of its largest displacement at most."""
+
+    def step(self, action):
+        most = 0.6 * self.max_displacement
+        return super().step(np.clip(action, -most, most))
+
+
 class Jumping(Point):
     """Tells where it is in another frame at a reset."""
 
@@ -378,6 +386,7 @@ FAULTS = [
     (lambda: Point(gain=20), "an action is a displacement in metres, no velocity"),
     (lambda: Point(gain=0.05), "position by 0.00248 m, it must realise a share from 0.1"),
     (Clipped, "max_displacement is the largest that the robot makes"),
+    (HalfClipped, "max_displacement: of an action of 0.1 m along axis 0 the robot makes"),
     (Jumping, "position: it jumps by 0.5"),
     (Soon, "success: it is True where the robot is 3"),
     (Over, "the episode ends after the first step"),

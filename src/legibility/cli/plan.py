@@ -100,13 +100,13 @@ def plan(
     solid = bool(scene.obstacles or scene.goal_radius)
     table = output.table(
         f"{motions.scene}, goal {target}, {model}, for {describe(scene, observer)}",
-        *("asked ℓ", "achieved ℓ", "score", "detour", *["clearance [m]"] * solid),
+        *("asked ℓ", "achieved ℓ", "score", "detour", *["clearance [m]", "feasible"] * solid),
         *["duration [s]", "time to confidence [s]"] * bool(moves),
     )
     for row in rows:
         cells = [output.number(row[name]) for name in ("legibility", "achieved", "detour")]
         cells.insert(2, output.significant(row["score"]))
-        cells += [output.number(row["clearance"])] * solid
+        cells += [output.number(row["clearance"]), "yes" if row["feasible"] else "no"] * solid
         if moves:
             seconds = row["time_to_confidence"]
             cells += [

@@ -25,6 +25,7 @@ _PROBES = 3  # steps of a motion that `check` tries
 _SHARES = (0.5, 1.0)  # of the largest displacement, that it tries
 _JUMP, _FAR = 2.0, 5.0  # in displacements: of a first step, and from a target that is not reached
 _REALISED = 0.1, 1.1  # share of a displacement that a step must realise
+_CLIPPED = 0.8  # share of the whole action over that of half of it
 _ASIDE, _SPARE = 0.25, 0.05  # of a displacement: sideways, and of the noise of a stop
 
 _CONSTANTS = {
@@ -309,11 +310,11 @@ def _reset_problems(env: Any, seed: int, arm: Any) -> list[str]:
 
 def _probed(env: Any, seed: int, dim: int) -> list[str]:
     """What is wrong with the motions of the robot."""
-    problems = []
+    problems, realised = [], [list[float]() for _ in range(dim)]
     for axis, share in itertools.product(range(dim), _SHARES):
         try:
             env.reset(seed=seed)
-            found = list(_probed_along(OwnFleet(env, seed), axis, share))
+            found = list(_probed_along(OwnFleet(env, seed), axis, share, realised[axis]))
         except LegibilityError as cause:
             found = [str(cause)]
         if problems and found and share == _SHARES[-1]:
@@ -322,10 +323,13 @@ def _probed(env: Any, seed: int, dim: int) -> list[str]:
     return list(dict.fromkeys(problems))
 
 
-def _probed_along(fleet: OwnFleet, axis: int, share_sent: float) -> Iterator[str]:
+def _probed_along(
+    fleet: OwnFleet, axis: int, share_sent: float, realised: list[float]
+) -> Iterator[str]:
     """What is wrong with a motion along an axis, toward the middle of the workspace.
 
-    `share_sent` is that of the largest displacement.
+    `share_sent` is that of the largest displacement; to `realised`, the shares that the robot made
+    of smaller actions, that of this one is appended.
     """
     active, places = np.ones(1, dtype=bool), [fleet.positions]
     inward = fleet.workspace.mean(0)[axis] >= places[0][0, axis]
@@ -349,6 +353,7 @@ def _probed_along(fleet: OwnFleet, axis: int, share_sent: float) -> Iterator[str
     moved = (places[_PROBES] - places[_PROBES - 1])[0]
     size = float(np.abs(action).max())
     share = float(moved[axis] / action[0, axis])
+    realised.append(share)
     aside = float(np.linalg.norm(np.delete(moved, axis)))
     jump = float(np.linalg.norm(places[1] - places[0]))
     if jump > _JUMP * max(fleet.limit, float(np.linalg.norm(moved))):
@@ -360,6 +365,11 @@ def _probed_along(fleet: OwnFleet, axis: int, share_sent: float) -> Iterator[str
             f"{moved[axis]:.3g} m, it must realise a share from {_REALISED[0]:g} to 1: an action "
             "is a displacement in metres, no velocity, in the axes of position; max_displacement "
             "is the largest that the robot makes"
+        )
+    elif share < _CLIPPED * realised[0]:
+        yield (
+            f"max_displacement: of an action of {size:g} m along axis {axis} the robot makes "
+            f"{share:.0%}, of a smaller one {realised[0]:.0%}: it must be the largest that it makes"
         )
     elif aside > _ASIDE * size:
         yield (
