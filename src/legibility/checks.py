@@ -41,7 +41,7 @@ def finite_array(
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError) as cause:
-        raise error(f"{name} must be an array of numbers, got {_short(value)}") from cause
+        raise error(f"{name} must be an array of numbers, got {short(value)}") from cause
     if (ndim is not None and array.ndim != ndim) or array.ndim < min_ndim:
         wanted = f"{ndim}" if ndim is not None else f"at least {min_ndim}"
         raise error(f"{name} must have {wanted} axes, got shape {array.shape}")
@@ -75,7 +75,7 @@ def prior_array(value: ArrayLike | None, num_goals: int) -> Array:
     prior = np.ones(num_goals) if value is None else finite_array("prior", value, ndim=1)
     if prior.shape != (num_goals,) or (prior <= 0).any():
         raise InvalidInputError(
-            f"prior must be {num_goals} numbers above 0, got {_short(prior.tolist())}"
+            f"prior must be {num_goals} numbers above 0, got {short(prior.tolist())}"
         )
     prior = prior / prior.max()
     return prior / prior.sum()
@@ -97,7 +97,7 @@ def target_index(target: Any, num_goals: int) -> int:
     """A goal's index in `[0, num_goals)`; negative indices are not accepted."""
     index = _integer(target)
     if index is None:
-        raise InvalidInputError(f"target must be an integer, got {_short(target)}")
+        raise InvalidInputError(f"target must be an integer, got {short(target)}")
     if not 0 <= index < num_goals:
         raise InvalidInputError(
             f"target must be a goal's index from 0 to {num_goals - 1}, got {index}"
@@ -139,7 +139,7 @@ def positive(name: str, value: Any) -> float:
     """A finite number above zero."""
     number = finite_array(name, value)
     if number.ndim or number <= 0:
-        raise InvalidInputError(f"{name} must be a number above 0, got {_short(value)}")
+        raise InvalidInputError(f"{name} must be a number above 0, got {short(value)}")
     return float(number)
 
 
@@ -148,7 +148,7 @@ def bounded(name: str, value: Any, low: float, high: float = np.inf) -> float:
     number = finite_array(name, value)
     if number.ndim or not low <= number <= high:
         wanted = f"of at least {low:g}" if np.isinf(high) else f"from {low:g} to {high:g}"
-        raise InvalidInputError(f"{name} must be a number {wanted}, got {_short(value)}")
+        raise InvalidInputError(f"{name} must be a number {wanted}, got {short(value)}")
     return float(number)
 
 
@@ -169,7 +169,7 @@ def one_of(name: str, value: Any, allowed: Iterable[Any], *, more: str = "") -> 
     if isinstance(value, str | Integral) and value in choices:
         return value
     raise InvalidInputError(
-        f"{name} must be one of {', '.join(map(str, choices))}{more}, got {_short(value)}"
+        f"{name} must be one of {', '.join(map(str, choices))}{more}, got {short(value)}"
         f"{did_you_mean(value, map(str, choices))}"
     )
 
@@ -210,7 +210,7 @@ def count(name: str, value: Any, *, low: int = 1) -> int:
     """An integer of at least `low`."""
     number = _integer(value)
     if number is None or number < low:
-        raise InvalidInputError(f"{name} must be an integer of at least {low}, got {_short(value)}")
+        raise InvalidInputError(f"{name} must be an integer of at least {low}, got {short(value)}")
     return number
 
 
@@ -251,6 +251,7 @@ def _integer(value: Any) -> int | None:
         return None
 
 
-def _short(value: Any) -> str:
+def short(value: Any) -> str:
+    """A value in a message, cut if it is long."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

@@ -208,7 +208,7 @@ class TestRefuses:
         assert "refuses ada/my-model: Invalid credentials" in line(error)
         assert MINE not in hub.repositories
 
-    @pytest.mark.parametrize("name", ["mine", "a/b/c", "a/b@v1", "/tmp/a", "a/", ""])
+    @pytest.mark.parametrize("name", ["mine", "a/b/c", "a/b@v1", "/a", "a/", ""])
     def test_a_name_that_is_none(self, hub, name):
         with pytest.raises(InvalidInputError, match="repository must be USER/REPOSITORY, got"):
             model().push_to_hub(name)

@@ -21,8 +21,7 @@ from .configuration import FORMATS
 from .dataset import LABEL_KNOTS, Dataset
 from .demonstrations import DEMONSTRATIONS, Demonstrations
 from .lerobot import write_lerobot
-
-_AXES = ("x", "y", "z")
+from .recordings import AXES
 
 
 def export(source: str | Path, form: str, folder: str | Path) -> list[Path]:
@@ -112,7 +111,7 @@ def _write_arrays(file: Path, arrays: dict[str, np.ndarray], texts: dict[str, An
 
 def _write_csv(dataset: Dataset, shown: Demonstrations | None, folder: Path) -> None:
     """`scenes.csv`, `trajectories.csv`, a row a point, and `demonstrations.csv`, a row a state."""
-    views, axes = dataset.config.views, _AXES[: dataset.config.dim]
+    views, axes = dataset.config.views, AXES[: dataset.config.dim]
     size, number = dataset.labels.shape
     rows = np.arange(size)
     _write_table(folder / "scenes.csv", {

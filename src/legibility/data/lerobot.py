@@ -22,12 +22,12 @@ from ..errors import DatasetError
 from ..files import at_home, atomic_path, read_text, write_json
 from .dataset import Dataset
 from .demonstrations import Demonstrations
+from .recordings import AXES
 from .shards import flat
 
 VERSION = "v3.0"
 """Version of the format that is written; all of the same first number are read."""
 
-_AXES = ("x", "y", "z")
 _FILE = "chunk-000/file-000.parquet"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _LIMITS = {"chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
@@ -91,7 +91,7 @@ def write_lerobot(dataset: Dataset, shown: Demonstrations, folder: Path) -> None
 
     level = shown.labels[episode, None]
     sent = [part for actions in shown.actions for part in (actions, np.zeros((1, dim)))]
-    axes = _AXES[:dim]
+    axes = AXES[:dim]
     numbers = {
         "observation.state": np.concatenate(shown.states),
         "observation.environment_state": np.hstack([goals[shown.scenes][episode], level]),
@@ -233,7 +233,7 @@ def _components(
         lists = [entry for entry in names.values() if isinstance(entry, list)]
         names = [name for entry in lists for name in entry] if lists else list(names)
     names = list(names or map(str, range(size)))
-    axes = list(axes) or [axis for axis in _AXES if axis in names]
+    axes = list(axes) or [axis for axis in AXES if axis in names]
     if len(axes) in (2, 3) and set(axes) <= set(names):
         return [names.index(axis) for axis in axes]
     if not axes and size in (2, 3):

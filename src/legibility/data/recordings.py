@@ -20,10 +20,11 @@ from ..errors import InvalidInputError
 from ..files import at_home, read_text, write_bytes
 from ..motion.recording import Recording
 
-_AXES = ("x", "y", "z")
+AXES = ("x", "y", "z")
+"""Columns of a position."""
 _TIMES = ("t", "time")
 _NAME, _TARGET, _SCENE = "trajectory", "target", "scene"
-_KNOWN = (*_AXES, *_TIMES, _NAME, _TARGET, _SCENE)
+_KNOWN = (*AXES, *_TIMES, _NAME, _TARGET, _SCENE)
 _SEPARATORS = (",", ";", "\t", " ")
 _METRES = ("m", "metre", "metres", "meter", "meters")
 _SECONDS = ("s", "sec", "second", "seconds")
@@ -192,7 +193,7 @@ def write_trajectories(file: str | Path, names: Sequence[str], trajectories: Arr
     """Write `(N, T, D)` [m] as `read_trajectories` reads them; equal names get a count."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([_NAME, *_AXES[: trajectories.shape[-1]]])
+    writer.writerow([_NAME, *AXES[: trajectories.shape[-1]]])
     for index, trajectory in enumerate(trajectories.tolist()):
         name, count = names[index], names[: index + 1].count(names[index])
         unique = name if count == 1 else f"{name} ({count})"
@@ -217,7 +218,7 @@ def _header(lines: Sequence[str]) -> _Header | None:
         ]
         header = max(options, key=lambda option: sum(name in _KNOWN for name in option.names))
         first = first or header
-        if not is_comment or any(name in _AXES for name in header.names):
+        if not is_comment or any(name in AXES for name in header.names):
             is_data = all(map(_is_number, header.names))
             return first if is_data and len(first.names) == len(header.names) else header
     return first
@@ -232,7 +233,7 @@ def _split(line: int, cells: Sequence[str], separator: str = "") -> _Header:
 
 def _columns(header: _Header, dim: int) -> list[str]:
     """The names of the axes' columns and of the time's, if any."""
-    axes, names = _AXES[:dim], header.names
+    axes, names = AXES[:dim], header.names
     if all(map(_is_number, re.split(r"[,;\s]+", " ".join(names).strip()))):
         example = ",".join(axes)
         raise InvalidInputError(

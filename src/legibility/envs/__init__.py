@@ -14,7 +14,7 @@ from ..errors import InvalidInputError
 if TYPE_CHECKING:
     from .block_reach import BlockReachVector
     from .own import Environment as Environment
-    from .own import check as check
+    from .probing import check as check
 
 MAX_EPISODE_STEPS = 400
 
@@ -74,6 +74,7 @@ def check_render_mode(mode: Any, modes: Sequence[str]) -> None:
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("Environment", "check"):  # loaded on first use
-        return getattr(importlib.import_module(".own", __name__), name)
+    rooms = {"Environment": ".own", "check": ".probing"}  # loaded on first use
+    if name in rooms:
+        return getattr(importlib.import_module(rooms[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

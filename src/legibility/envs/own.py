@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium
@@ -11,7 +10,7 @@ import numpy as np
 from gymnasium.wrappers import MaxAndSkipObservation, RepeatAction
 from numpy.typing import NDArray
 
-from ..checks import Array, bounded, finite_array, positive, random_seed
+from ..checks import Array, bounded, finite_array, positive, short
 from ..errors import InvalidInputError, LegibilityError
 from ..scene import START_OVERSHOOT, Scene
 from .fleet import Fleet
@@ -21,12 +20,6 @@ DEFAULT_LAG = 0.3
 """Largest lag of a robot whose environment names none."""
 
 _NOISE = 0.1  # in largest displacements, by which a scene may differ before paths are replanned
-_PROBES = 3  # steps of a motion that `check` tries
-_SHARES = (0.5, 1.0)  # of the largest displacement, that it tries
-_JUMP, _FAR = 2.0, 5.0  # in displacements: of a first step, and from a target that is not reached
-_REALISED = 0.1, 1.1  # share of a displacement that a step must realise
-_CLIPPED = 0.8  # share of the whole action over that of half of it
-_ASIDE, _SPARE = 0.25, 0.05  # of a displacement: sideways, and of the noise of a stop
 
 _CONSTANTS = {
     "max_displacement": "the largest displacement of an action along each axis [m]",
@@ -76,7 +69,7 @@ class Environment(Protocol):
         """The scene as it is now; None before the first reset.
 
         Its start is not read: the position is. During an episode goals and obstacles may move, by
-        more than a tenth of `max_displacement` to be planned for anew; the guard sees everything.
+        more than a tenth of `max_displacement` before the motion is replanned; the guard sees all.
         The number of goals and the workspace stay.
         """
         ...
@@ -125,12 +118,12 @@ class OwnFleet(Fleet):
 
     def __init__(self, env: Any, seed: int) -> None:
         self._env, self.size = env, 1
-        if missing := _missing(env):
+        if missing := missing_of(env):
             raise InvalidInputError(
                 "env must be an environment of legibility or have what legibility.envs.Environment "
                 f"names, got {env}: {'; '.join(missing)}; legibility.envs.check(env) tells all"
             )
-        constants, problems = _constants(env)
+        constants, problems = constants_of(env)
         if problems:
             raise InvalidInputError(f"{env}: {'; '.join(problems)}")
         self.limit, self.step_seconds, self.lag, self._arm = constants
@@ -141,7 +134,7 @@ class OwnFleet(Fleet):
         self._planned, self.workspace = self._now.scene, self._now.scene.workspace
         if self._now.success:
             raise InvalidInputError("an episode has ended: reset the environment before executing")
-        if problem := _outside(self._now, self.limit):
+        if problem := outside(self._now, self.limit):
             raise InvalidInputError(f"{env}: {problem}")
         self._barriers = self._seen_barriers()
 
@@ -227,7 +220,7 @@ class OwnFleet(Fleet):
         if not isinstance(result, tuple) or len(result) != 5:
             raise InvalidInputError(
                 f"{self._env}: step must return observation, reward, terminated, truncated and "
-                f"info, got {_short(result)}"
+                f"info, got {short(result)}"
             )
         before, self._steps = self._now, self._steps + 1
         now = self._read()
@@ -247,7 +240,7 @@ class OwnFleet(Fleet):
 
     def _read(self) -> _State:
         """What the environment says now, checked."""
-        state, problems = _state(self._env, self._arm)
+        state, problems = state_of(self._env, self._arm)
         if state is None:
             when = f"after {self._steps} steps: " if self._steps else ""
             raise InvalidInputError(f"{self._env}: {when}{'; '.join(problems)}")
@@ -256,145 +249,6 @@ class OwnFleet(Fleet):
     def _seen_barriers(self) -> Barriers | None:
         """What the robot must keep off now."""
         return Barriers.of([self._now.scene], [self._now.target])
-
-
-def check(env: Any, seed: int = 0) -> None:
-    """Raise unless a robot can be moved in an environment of your own, see `Environment`.
-
-    What it has is read. It is reset with `seed` and moved a few steps along each axis and stopped,
-    to see that an action is a displacement in metres and that the robot stops in time; noise of
-    more than a tenth of such a step can be reported as a fault. It is left freshly reset.
-
-    Raises:
-        InvalidInputError: something is missing or wrong; a line for each, by name.
-    """
-    if problems := _problems(env, random_seed("seed", seed)):
-        raise InvalidInputError("\n".join([f"{env} cannot be moved yet:", *problems]))
-    env.reset(seed=seed)
-
-
-def _problems(env: Any, seed: int) -> list[str]:
-    """A line for each fault of an environment."""
-    missing = _missing(env)
-    (limit, _, _, arm), problems = _constants(env)
-    problems += missing
-    if not any(line.startswith("reset ") for line in missing):
-        problems += _reset_problems(env, seed, arm)
-    state, wrong = _state(env, arm)
-    problems += wrong
-    if state is None or problems:
-        return problems
-    if problem := _outside(state, limit):
-        problems.append(problem)
-    if state.success:
-        problems.append("success must be False after a reset, got True")
-    return problems or _probed(env, seed, state.scene.dim)
-
-
-def _reset_problems(env: Any, seed: int, arm: Any) -> list[str]:
-    """What is wrong with two resets with one seed."""
-    states = []
-    for _ in range(2):
-        try:
-            result = env.reset(seed=seed)
-        except Exception as cause:
-            return [f"reset(seed={seed}) raises {cause!r}"]
-        if not isinstance(result, tuple) or len(result) != 2:
-            return [f"reset must return observation and info, got {_short(result)}"]
-        states.append(_state(env, arm)[0])
-    one, two = states
-    if one and two and (one.scene != two.scene or not np.array_equal(one.position, two.position)):
-        return [f"reset(seed={seed}) must give one scene and position, it gave others twice"]
-    return []
-
-
-def _probed(env: Any, seed: int, dim: int) -> list[str]:
-    """What is wrong with the motions of the robot."""
-    problems, realised = [], [list[float]() for _ in range(dim)]
-    for axis, share in itertools.product(range(dim), _SHARES):
-        try:
-            env.reset(seed=seed)
-            found = list(_probed_along(OwnFleet(env, seed), axis, share, realised[axis]))
-        except LegibilityError as cause:
-            found = [str(cause)]
-        if problems and found and share == _SHARES[-1]:
-            continue  # the same again
-        problems += found
-    return list(dict.fromkeys(problems))
-
-
-def _probed_along(
-    fleet: OwnFleet, axis: int, share_sent: float, realised: list[float]
-) -> Iterator[str]:
-    """What is wrong with a motion along an axis, toward the middle of the workspace.
-
-    `share_sent` is that of the largest displacement; to `realised`, the shares that the robot made
-    of smaller actions, that of this one is appended.
-    """
-    active, places = np.ones(1, dtype=bool), [fleet.positions]
-    inward = fleet.workspace.mean(0)[axis] >= places[0][0, axis]
-    action = np.zeros_like(places[0])
-    action[0, axis] = share_sent * fleet.limit * (1 if inward else -1)
-    for step in range(2 * _PROBES):
-        sent = fleet.safe(action if step < _PROBES else 0 * action, places[-1], _last(places))
-        if step < _PROBES and not np.array_equal(sent, action):
-            return  # something is in the way
-        success, *ends = fleet.step(sent, active)
-        places.append(fleet.positions)
-        apart = float(np.linalg.norm(fleet.goals[0] - fleet.positions[0]))
-        if success[0]:
-            if apart > _FAR * fleet.limit:
-                yield f"success: it is True where the robot is {apart:.3g} m from its target"
-            return
-        if any(end[0] for end in ends):
-            if step == 0:
-                yield "step: it says that the episode ends after the first step of a robot"
-            return
-    moved = (places[_PROBES] - places[_PROBES - 1])[0]
-    size = float(np.abs(action).max())
-    share = float(moved[axis] / action[0, axis])
-    realised.append(share)
-    aside = float(np.linalg.norm(np.delete(moved, axis)))
-    jump = float(np.linalg.norm(places[1] - places[0]))
-    if jump > _JUMP * max(fleet.limit, float(np.linalg.norm(moved))):
-        yield f"position: it jumps by {jump:.3g} m in the first step after a reset"
-        return
-    if not _REALISED[0] <= share <= _REALISED[1]:
-        yield (
-            f"step: an action of {action[0, axis]:g} m along axis {axis} moves position by "
-            f"{moved[axis]:.3g} m, it must realise a share from {_REALISED[0]:g} to 1: an action "
-            "is a displacement in metres, no velocity, in the axes of position; max_displacement "
-            "is the largest that the robot makes"
-        )
-    elif share < _CLIPPED * realised[0]:
-        yield (
-            f"max_displacement: of an action of {size:g} m along axis {axis} the robot makes "
-            f"{share:.0%}, of a smaller one {realised[0]:.0%}: it must be the largest that it makes"
-        )
-    elif aside > _ASIDE * size:
-        yield (
-            f"step: an action of {size:g} m along axis {axis} moves position sideways by "
-            f"{aside:.3g} m: actions and position must have the same axes"
-        )
-    else:
-        coast = float(np.linalg.norm(places[-1] - places[_PROBES])) - _SPARE * size
-        rate = float(np.linalg.norm(moved))
-        if coast > fleet.lag / (1 - fleet.lag) * rate:
-            lag = coast / (coast + rate)
-            remedy = (
-                f"set lag to {lag:.2g}"
-                if lag <= 0.5
-                else "a lag above 0.5 is too much, or max_displacement is too large to stop from"
-            )
-            yield (
-                f"lag: sent 0, the robot moves on by {coast:.3g} m after steps of {rate:.3g} m, "
-                f"more than a lag of {fleet.lag:g} allows: {remedy}"
-            )
-
-
-def _last(places: list[Array]) -> Array:
-    """The last displacement."""
-    return places[-1] - places[-2] if len(places) > 1 else np.zeros_like(places[0])
 
 
 _NEEDED = object()
@@ -415,7 +269,7 @@ def _value(env: Any, name: str, default: Any = _NEEDED) -> Any:
         raise InvalidInputError(f"{name} raises {cause!r}") from cause
 
 
-def _missing(env: Any) -> list[str]:
+def missing_of(env: Any) -> list[str]:
     """A line for each of `_CONSTANTS` that an environment lacks."""
     return _collected(_CONSTANTS, lambda name: _value(env, name))[1]
 
@@ -440,7 +294,7 @@ def _was_reset(env: Any) -> bool:
         return False
 
 
-def _constants(env: Any) -> tuple[tuple[float, float, float, Any], list[str]]:
+def constants_of(env: Any) -> tuple[tuple[float, float, float, Any], list[str]]:
     """Limit, duration of a step, lag and arm; and what is wrong with those that it has."""
 
     def read(name: str) -> Any:
@@ -470,11 +324,11 @@ def _arm(value: Any) -> Any:
     from ..robots.arm import Arm
 
     if not isinstance(value, Arm):
-        raise InvalidInputError(f"arm must be a legibility.Arm, got {_short(value)}")
+        raise InvalidInputError(f"arm must be a legibility.Arm, got {short(value)}")
     return value
 
 
-def _state(env: Any, arm: Any) -> tuple[_State | None, list[str]]:
+def state_of(env: Any, arm: Any) -> tuple[_State | None, list[str]]:
     """What an environment says of its robot, or what is wrong with that."""
     scene: Scene | None = None
 
@@ -491,7 +345,7 @@ def _state(env: Any, arm: Any) -> tuple[_State | None, list[str]]:
             return value if scene is None else scene.check_target(value)
         if name == "success":
             if not isinstance(value, bool | np.bool_):
-                raise InvalidInputError(f"success must be True or False, got {_short(value)}")
+                raise InvalidInputError(f"success must be True or False, got {short(value)}")
             return bool(value)
         last: Any = (2, 3) if scene is None else scene.dim
         last = arm.joints if name == "joint_angles" else last
@@ -505,7 +359,7 @@ def _state(env: Any, arm: Any) -> tuple[_State | None, list[str]]:
     return _State(found, target, position, success, *(angles or [np.empty(0)])), []
 
 
-def _outside(state: _State, limit: float) -> str:
+def outside(state: _State, limit: float) -> str:
     """What is wrong with the position at the start of a motion."""
     low, high = state.scene.workspace
     spare = max(limit, START_OVERSHOOT[state.scene.dim] * state.scene.diagonal)
@@ -532,9 +386,3 @@ def _changed(before: _State, now: _State) -> str:
             f"got {now.scene.workspace.tolist()}"
         )
     return ""
-
-
-def _short(value: Any) -> str:
-    """A value in a message."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."
